@@ -1,0 +1,1 @@
+"""Simpler models that came before, kept beside the main one for comparison."""

@@ -1,0 +1,1 @@
+"""Pictures and measures made of finished runs; needs no ROS."""

@@ -1,0 +1,66 @@
+"""Composite severity of a derailment, relative to a base run."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class HasMeasures(Protocol):
+    """What severity needs of an outcome."""
+
+    @property
+    def cars_derailed(self) -> int: ...
+    @property
+    def peak_force(self) -> float: ...
+    @property
+    def scene_area(self) -> float: ...
+
+
+def severity_index(
+    cars: ArrayLike,
+    peak_force: ArrayLike,
+    area: ArrayLike,
+    base_cars: float,
+    base_peak_force: float,
+    base_area: float,
+) -> NDArray[np.float64]:
+    r"""Severity ``S = (N/N0 + F/F0 + A/A0) / 3``; 1 for the base run itself.
+
+    Parameters
+    ----------
+    cars : N, cars derailed
+    peak_force : F, largest collision force, N
+    area : A, area of the scene, m^2
+    base_cars, base_peak_force, base_area : N0, F0, A0 of the base run (or its ensemble's means)
+
+    Raises
+    ------
+    ValueError
+        If a measure of the base run is not positive: nothing can be compared with it.
+    """
+    for name, value in (
+        ("base_cars", base_cars),
+        ("base_peak_force", base_peak_force),
+        ("base_area", base_area),
+    ):
+        if not np.isfinite(value) or value <= 0.0:
+            raise ValueError(f"{name}: must be positive to compare with, not {value:g}")
+    n, f, a = (np.asarray(v, dtype=float) for v in (cars, peak_force, area))
+    return np.asarray((n / base_cars + f / base_peak_force + a / base_area) / 3.0)
+
+
+def severity(outcome: HasMeasures, base: HasMeasures) -> float:
+    """Severity of one outcome against a base run, see :func:`severity_index`."""
+    return float(
+        severity_index(
+            outcome.cars_derailed,
+            outcome.peak_force,
+            outcome.scene_area,
+            base.cars_derailed,
+            base.peak_force,
+            base.scene_area,
+        )
+    )

@@ -1,0 +1,32 @@
+"""The composite severity against hand-worked numbers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from derail_ros.review.severity import severity, severity_index
+
+
+def run(n, f, a):
+    return SimpleNamespace(cars_derailed=n, peak_force=f, scene_area=a)
+
+
+def test_base_run_is_one():
+    base = run(24, 19e6, 3460.0)
+    assert severity(base, base) == pytest.approx(1.0)
+
+
+def test_mean_of_three_ratios():
+    assert severity(run(12, 38e6, 3460.0), run(24, 19e6, 3460.0)) == pytest.approx(3.5 / 3.0)
+
+
+def test_vectorised():
+    s = severity_index([24, 0], [19e6, 0.0], [3460.0, 0.0], 24, 19e6, 3460.0)
+    np.testing.assert_allclose(s, [1.0, 0.0])
+
+
+@pytest.mark.parametrize("base", [(0, 1.0, 1.0), (1, 0.0, 1.0), (1, 1.0, float("nan"))])
+def test_base_without_a_measure_is_refused(base):
+    with pytest.raises(ValueError, match="base_"):
+        severity_index(1, 1.0, 1.0, *base)
