@@ -1,0 +1,121 @@
+# derail_ros: environment, demonstration, tests. `make help` lists the targets.
+#
+#   PYTHON=python3.12   choose the interpreter (default: the first that works, see find_python)
+#   ROS=0               leave out the ROS 2 wheels (default: 1 on x86-64 Linux, else 0)
+
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+MAKEFLAGS += --no-print-directory
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/stamps
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+PIP_VERSION := 26.3
+ifeq ($(shell uname -sm),Linux x86_64)
+ROS ?= 1
+else
+ROS ?= 0
+endif
+
+# Another environment's Python must not leak into this one.
+unexport PYTHONPATH PYTHONHOME
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH AMENT_PREFIX_PATH
+endif
+
+# The first interpreter that runs, is recent enough and can make an environment.
+CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.11 python3.12 python3.13 python3.10 python3)
+define find_python
+for python in $(CANDIDATES); do \
+  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null; \
+  then break; fi; python=; done; \
+if [ -z "$$python" ]; then \
+  echo "No Python 3.10 to 3.14 with the modules venv and ensurepip among: $(CANDIDATES)." >&2; \
+  echo "Install one (Debian, Ubuntu: apt-get install python3 python3-venv) or name it: make PYTHON=..." >&2; \
+  exit 1; fi
+endef
+
+# pip, quietly: its output goes to a file, which is shown if it fails. $(call pip,what,arguments)
+define pip
+mkdir -p $(VENV)/log; \
+$(PIP) $(2) >$(VENV)/log/$(1).txt 2>&1 || { cat $(VENV)/log/$(1).txt >&2; echo "pip failed: $(1)" >&2; exit 1; }
+endef
+
+MSGS_SOURCES := derail_msgs/CMakeLists.txt derail_msgs/package.xml derail_msgs/pyproject.toml \
+  $(wildcard derail_msgs/msg/*.msg derail_msgs/srv/*.srv)
+PROJECT_SOURCES := setup.py setup.cfg pyproject.toml constraints.txt Makefile \
+  $(wildcard scripts/* launch/*.launch.py) package.xml
+ifeq ($(ROS),0)
+EXTRAS := studies,dev
+PARTS := $(STAMPS)/project
+else
+EXTRAS := ros,studies,dev
+PARTS := $(STAMPS)/msgs $(STAMPS)/project
+endif
+
+.PHONY: help env run test lint verify bench clean
+
+help:  ## list the targets
+	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+env: $(STAMPS)/env  ## make .venv with everything in it (and .venv/bin/derail)
+
+$(STAMPS)/venv:
+	@$(find_python); \
+	echo "env: new environment in $(VENV) with $$("$$python" --version), $$(command -v "$$python")"; \
+	rm -rf $(VENV); "$$python" -m venv $(VENV)
+	@$(call pip,pip,install --upgrade pip==$(PIP_VERSION))
+	@mkdir -p $(STAMPS); touch $@
+
+$(STAMPS)/project: $(PROJECT_SOURCES) | $(STAMPS)/venv
+	@echo "env: installing derail_ros [$(EXTRAS)] from this folder and what it needs"
+	@$(call pip,project,install --constraint constraints.txt --editable '.[$(EXTRAS)]')
+	@touch $@
+
+# The wheel of the messages takes a minute or two: built beside the rest, and only when they change.
+$(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
+	@echo "env: building derail_msgs against the ROS 2 wheels (a minute or two)"
+	@command -v g++ >/dev/null && command -v cmake >/dev/null && command -v make >/dev/null || { \
+	  echo "derail_msgs needs a C++ compiler, cmake and make (Debian, Ubuntu: apt-get install g++ cmake make)" >&2; exit 1; }
+	@rm -rf $(VENV)/wheels
+	@$(call pip,derail_msgs,wheel --no-deps --wheel-dir $(VENV)/wheels ./derail_msgs)
+	@touch $@
+
+$(STAMPS)/env: $(MSGS_SOURCES) $(PROJECT_SOURCES)
+	@$(MAKE) $(STAMPS)/venv
+	@$(MAKE) -j2 $(PARTS)
+	@if [ "$(ROS)" != 0 ]; then \
+	  $(call pip,derail_msgs_install,install --no-deps --force-reinstall $(VENV)/wheels/derail_msgs-*.whl); fi
+	@touch $@
+	@echo "env: ready, $(BIN)/derail"
+
+run: env  ## show a derailment
+	@$(BIN)/python -m derail_ros.demo
+
+TEST_ENVIRONMENT := ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
+  ROS_LOG_DIR=$(CURDIR)/$(VENV)/log/ros MPLBACKEND=agg
+
+lint: env  ## ruff (lint and format) and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint  ## everything that must hold, within minutes
+	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+REPEATS ?= 3
+verify: env  ## the slow tests, and those with a ROS graph REPEATS times
+	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m slow --timeout 3600 $(PYTEST_ARGS)
+	for i in $$(seq $(REPEATS)); do \
+	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "ros and not slow" $(PYTEST_ARGS); done
+
+bench: env  ## measure, and print the tables of the documentation
+	@for file in benchmarks/bench_*.py; do \
+	  echo "== $$file"; $(BIN)/python "$$file"; done
+
+clean:  ## remove the environment, builds and caches
+	rm -rf $(VENV) build install log dist derail_msgs/build *.egg-info \
+	  .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,1 @@
+"""Engine state to ROS messages and back: the only place that knows both."""
