@@ -1,0 +1,117 @@
+"""Records of outcomes and their moments."""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from derail_ros.studies.records import (
+    counted,
+    failed_record,
+    flatten,
+    number,
+    outcome_record,
+    summarize,
+)
+
+
+def outcome(**changes):
+    values = {
+        "cars_derailed": 3,
+        "derailed_cars": (1, 2, 3),
+        "duration": 12.5,
+        "peak_force": 2e6,
+        "peak_force_pair": (np.int64(2), np.int64(1)),
+        "peak_force_time": 3.25,
+        "peak_resultant": 2.5e6,
+        "cars_above_5MN": (),
+        "cars_above_10MN": (),
+        "scene_length": 60.0,
+        "scene_width": 20.0,
+        "scene_area": 1200.0,
+        "rear_stop": -30.0,
+        "max_coupler_gap": 1e-9,
+        "max_truck_offset": 1e-9,
+        "energy_initial": 1e8,
+        "energy": {"brakes": 4e7, "residual": float("nan")},
+        "energy_residual": 1e-5,
+        "void": False,
+        "status": "at rest",
+        "time": 13.0,
+        "steps": 1000,
+        "rejected_steps": 10,
+    }
+    return SimpleNamespace(**(values | changes))
+
+
+def test_record_is_json_without_nan():
+    record = outcome_record(
+        outcome(peak_force_pair=None, peak_force_time=math.nan, duration=math.inf), 0.25
+    )
+    text = json.dumps(record, allow_nan=False)
+    back = json.loads(text)
+    assert back["peak_force_pair"] is None
+    assert back["peak_force_time_s"] is None
+    assert back["duration_s"] is None
+    assert back["energy_J"] == {"brakes": 4e7, "residual": None}
+    assert back["wall_s"] == 0.25
+
+
+def test_record_holds_plain_types():
+    record = outcome_record(outcome())
+    assert record["peak_force_pair"] == [2, 1]
+    assert all(type(c) is int for c in record["peak_force_pair"])
+    assert record["wall_s"] is None
+
+
+def test_number():
+    assert number(np.float64(2.0)) == 2.0
+    assert number(None) is None
+    assert number(math.nan) is None
+
+
+def test_flatten_counts_lists_and_leaves_out_what_has_no_mean():
+    flat = flatten(outcome_record(outcome(cars_above_5MN=(4, 9))))
+    assert flat["cars_above_5MN"] == 2.0
+    assert flat["energy_J.brakes"] == 4e7
+    assert not {"derailed_cars", "peak_force_pair", "void", "status"} & flat.keys()
+
+
+def test_moments_match_numpy():
+    rng = np.random.default_rng(1)
+    durations = rng.normal(25.0, 1.0, 50)
+    moments = summarize(outcome_record(outcome(duration=d)) for d in durations)
+    assert moments.count == 50
+    assert moments.mean()["duration_s"] == pytest.approx(durations.mean(), rel=1e-12)
+    assert moments.sd()["duration_s"] == pytest.approx(durations.std(ddof=1), rel=1e-9)
+    assert moments.mean()["energy_J"]["brakes"] == pytest.approx(4e7)
+
+
+def test_void_and_failed_are_counted_but_left_out():
+    moments = summarize(
+        [
+            outcome_record(outcome()),
+            outcome_record(outcome(void=True, cars_derailed=99)),
+            failed_record("StepSizeError: step below its floor", 0.1),
+        ]
+    )
+    assert (moments.count, moments.void, moments.failed) == (1, 1, 1)
+    assert moments.mean()["cars_derailed"] == 3.0
+    assert moments.sd()["cars_derailed"] is None
+    assert not counted(failed_record("x"))
+
+
+def test_a_measure_that_some_runs_lack_is_the_mean_of_the_others():
+    moments = summarize(
+        [outcome_record(outcome()), outcome_record(outcome(peak_force_time=math.nan))]
+    )
+    assert moments.mean()["peak_force_time_s"] == 3.25
+    assert moments.sd()["peak_force_time_s"] is None
+
+
+def test_no_runs_at_all():
+    moments = summarize([failed_record("x")])
+    assert moments.mean() == {}
+    assert moments.sd() == {}
