@@ -81,7 +81,7 @@ $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
 	@command -v g++ >/dev/null && command -v cmake >/dev/null && command -v make >/dev/null || { \
 	  echo "derail_msgs needs a C++ compiler, cmake and make (Debian, Ubuntu: apt-get install g++ cmake make)" >&2; exit 1; }
 	@rm -rf $(VENV)/wheels
-	@$(call pip,derail_msgs,wheel --no-deps --wheel-dir $(VENV)/wheels ./derail_msgs)
+	@$(call pip,derail_msgs,wheel --no-deps --build-constraint constraints.txt --wheel-dir $(VENV)/wheels ./derail_msgs)
 	@touch $@
 
 $(STAMPS)/env: $(MSGS_SOURCES) $(PROJECT_SOURCES)
