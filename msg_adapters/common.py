@@ -1,0 +1,63 @@
+"""Small pieces that every message needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from msg_adapters.definitions import message_class
+
+NANOSECONDS = 1_000_000_000
+
+
+def nanoseconds(seconds: float) -> int:
+    """Time in whole nanoseconds, rounded to the nearest."""
+    return round(seconds * NANOSECONDS)
+
+
+def time_message(stamp: int) -> Any:
+    """``builtin_interfaces/Time`` of a time in nanoseconds."""
+    return message_class("builtin_interfaces/msg/Time")(*divmod(stamp, NANOSECONDS))
+
+
+def header(stamp: int, frame_id: str) -> Any:
+    """``std_msgs/Header`` at a time in nanoseconds."""
+    return message_class("std_msgs/msg/Header")(time_message(stamp), frame_id)
+
+
+def stamp_of(message: Any) -> int:
+    """Time of a message's header in nanoseconds."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def stamp_of_bytes(data: bytes) -> int:
+    """Time in nanoseconds of a serialised message that begins with a header or a time."""
+    order = "little" if data[1] & 1 else "big"
+    return int.from_bytes(data[4:8], order, signed=True) * NANOSECONDS + int.from_bytes(
+        data[8:12], order
+    )
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What all messages of a run carry, and how run time becomes simulation time.
+
+    Attributes
+    ----------
+    run_id : identity of the run
+    base : simulation time at which the run began, ns
+    frame_id : inertial frame
+    """
+
+    run_id: str
+    base: int = 0
+    frame_id: str = "map"
+
+    def stamp(self, time: float) -> int:
+        """Simulation time in nanoseconds of the run time ``time`` (s)."""
+        return self.base + nanoseconds(time)
+
+    def header(self, time: float) -> Any:
+        """Header of a message at the run time ``time`` (s)."""
+        return header(self.stamp(time), self.frame_id)

@@ -1,0 +1,79 @@
+"""The definitions of all messages, with and without an installed ROS.
+
+Messages are built and serialised by ``rosbags`` from the ``.msg`` texts of ``derail_msgs``. A copy
+of these texts travels with this package (``definitions.json``), so that a run can be recorded
+where no ROS is installed; ``python -m msg_adapters.definitions`` renews the copy, and a test holds
+it equal to the files.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+COPY = Path(__file__).resolve().with_name("definitions.json")
+SOURCE = Path(__file__).resolve().parent.parent / "derail_msgs" / "msg"
+PACKAGE = "derail_msgs"
+
+
+def read_sources(folder: Path = SOURCE) -> dict[str, str]:
+    """The ``.msg`` files of ``derail_msgs``: type name -> text."""
+    return {
+        f"{PACKAGE}/msg/{path.stem}": path.read_text(encoding="utf-8")
+        for path in sorted(folder.glob("*.msg"))
+    }
+
+
+def read_copy() -> dict[str, str]:
+    """The texts that travel with this package: type name -> text."""
+    texts: dict[str, str] = json.loads(COPY.read_text(encoding="utf-8"))
+    return texts
+
+
+@functools.cache
+def typestore() -> Any:
+    """Type store with the messages of ROS 2 Kilted and of ``derail_msgs``.
+
+    The messages used here (geometry, visualization, diagnostics) are the same in every
+    distribution since Humble.
+    """
+    store = get_typestore(Stores.ROS2_KILTED)
+    types: dict[str, Any] = {}
+    for name, text in read_copy().items():
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store
+
+
+@functools.cache
+def message_class(typename: str) -> Any:
+    """Class of a message, for example ``derail_msgs/msg/TrainState``."""
+    return typestore().types[typename]
+
+
+def serialize(message: Any) -> bytes:
+    """CDR bytes of a message, as they go over the wire and into a recording."""
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
+
+
+def deserialize(data: bytes, typename: str) -> Any:
+    """Message of the given type from its CDR bytes."""
+    return typestore().deserialize_cdr(data, typename)
+
+
+def field_names(typename: str) -> list[str]:
+    """Names of the fields of a message, in order."""
+    return [name for name, _ in typestore().fielddefs[typename][1]]
+
+
+def main() -> None:
+    """Renew the copy from the files."""
+    COPY.write_text(json.dumps(read_sources(), indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,226 @@
+"""Messages sent at the state rate: poses, state, couplings, energy.
+
+Flat arrays only; an encoder is made once a run and serialises straight from the sample's arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derail_ros.engine.params import TrainParams
+from msg_adapters.common import NANOSECONDS, RunContext
+from msg_adapters.definitions import message_class, serialize
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from derail_ros.engine.sample import Sample
+
+POSE_DOUBLES = 7
+"""x, y, z and the quaternion x, y, z, w."""
+
+
+def quaternions(yaw: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The two components (z, w) that a rotation about the vertical axis needs."""
+    half = 0.5 * yaw
+    return np.sin(half), np.cos(half)
+
+
+class PoseEncoder:
+    """``car_poses``: the bytes of one message, of which only time and poses are renewed."""
+
+    def __init__(self, n_cars: int, context: RunContext) -> None:
+        self.context = context
+        point = message_class("geometry_msgs/msg/Point")
+        quaternion = message_class("geometry_msgs/msg/Quaternion")
+        pose = message_class("geometry_msgs/msg/Pose")
+        template = message_class("geometry_msgs/msg/PoseArray")(
+            context.header(0.0),
+            [pose(point(0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)) for _ in range(n_cars)],
+        )
+        self._data = bytearray(serialize(template))
+        # The poses end the message and hold nothing but doubles.
+        start = len(self._data) - 8 * POSE_DOUBLES * n_cars
+        self._poses = np.frombuffer(self._data, "<f8", POSE_DOUBLES * n_cars, start).reshape(
+            n_cars, POSE_DOUBLES
+        )
+        self._stamp = np.frombuffer(self._data, "<u4", 2, 4)
+
+    def __call__(self, sample: Sample) -> bytes:
+        """CDR bytes of ``geometry_msgs/PoseArray``: the mass centres, in order of the cars."""
+        self._stamp[:] = divmod(self.context.stamp(sample.time), NANOSECONDS)
+        self._poses[:, 0:2] = sample.q[:, 0:2]
+        self._poses[:, 5], self._poses[:, 6] = quaternions(sample.q[:, 2])
+        return bytes(self._data)
+
+
+class StateEncoder:
+    """The messages of one sample."""
+
+    def __init__(self, params: TrainParams, context: RunContext) -> None:
+        self.context = context
+        self.poses = PoseEncoder(len(params.cars), context)
+        self._train_state = message_class("derail_msgs/msg/TrainState")
+        self._couplers = message_class("derail_msgs/msg/CouplerStates")
+        self._energy = message_class("derail_msgs/msg/EnergyLedger")
+        arm = {"front": 1.0, "rear": -1.0, "centre": 0.0}
+        self._lateral = [
+            (
+                force.car - 1,
+                arm[force.place] * params.cars[force.car - 1].truck_distance,
+                abs(force.force),
+                force.start,
+                force.start + force.duration,
+            )
+            for force in params.initiation.lateral_forces
+        ]
+
+    def _external_moment(self, sample: Sample) -> NDArray[np.float64]:
+        """Moment of the initiating forces about the mass centres, N m.
+
+        Forces on one car have practically one direction (the track's normal at its trucks), so
+        the car's resultant acts at their weighted place.
+        """
+        weight = np.zeros(len(sample.q))
+        moment = np.zeros(len(sample.q))
+        for car, offset, size, start, end in self._lateral:
+            if start <= sample.time <= end:
+                weight[car] += size
+                moment[car] += size * offset
+        arm = np.divide(moment, weight, out=np.zeros_like(moment), where=weight > 0.0)
+        yaw = sample.q[:, 2]
+        force = sample.external_force
+        result: NDArray[np.float64] = arm * (np.cos(yaw) * force[:, 1] - np.sin(yaw) * force[:, 0])
+        return result
+
+    def train_state(self, s: Sample) -> Any:
+        """``derail_msgs/TrainState`` of a sample."""
+        c = np.ascontiguousarray
+        q, v, a = c(s.q.T), c(s.v.T), c(s.a.T)
+        on = c(s.truck_on.T, dtype=np.uint8)
+        coordinate = c(s.truck_coordinate.T)
+        rail = c(s.rail_force.T)
+        ground = c(s.ground_truck_force.transpose(1, 2, 0))
+        body = c(s.ground_body_force.T)
+        collision = c(s.collision_force.T)
+        external = c(s.external_force.T)
+        return self._train_state(
+            header=self.context.header(s.time),
+            run_id=self.context.run_id,
+            step=s.step,
+            time=s.time,
+            x=q[0],
+            y=q[1],
+            yaw=q[2],
+            vx=v[0],
+            vy=v[1],
+            yaw_rate=v[2],
+            ax=a[0],
+            ay=a[1],
+            yaw_acceleration=a[2],
+            coupler_angle_front=q[3],
+            coupler_angle_rear=q[4],
+            coupler_rate_front=v[3],
+            coupler_rate_rear=v[4],
+            coupler_acceleration_front=a[3],
+            coupler_acceleration_rear=a[4],
+            truck_status_front=on[0],
+            truck_status_rear=on[1],
+            track_coordinate_front=coordinate[0],
+            track_coordinate_rear=coordinate[1],
+            rail_force_front=rail[0],
+            rail_force_rear=rail[1],
+            brake_force=c(s.brake_force),
+            ground_force_front_x=ground[0, 0],
+            ground_force_front_y=ground[0, 1],
+            ground_force_rear_x=ground[1, 0],
+            ground_force_rear_y=ground[1, 1],
+            ground_force_body_x=body[0],
+            ground_force_body_y=body[1],
+            ground_moment=c(s.ground_moment),
+            collision_force_x=collision[0],
+            collision_force_y=collision[1],
+            collision_moment=c(s.collision_moment),
+            largest_corner_force=self._largest(s),
+            corner_force=c(s.corner_force).reshape(-1),
+            corner_gap=c(s.corner_gap).reshape(-1),
+            corner_closing_speed=c(s.corner_closing_speed).reshape(-1),
+            corner_other_car=c(s.corner_other, dtype=np.uint32).reshape(-1),
+            external_force_x=external[0],
+            external_force_y=external[1],
+            external_moment=self._external_moment(s),
+        )
+
+    @staticmethod
+    def _largest(s: Sample) -> NDArray[np.float64]:
+        """Largest force at a single corner of any contact of each car, as striker or struck, N."""
+        largest: NDArray[np.float64] = s.corner_force.max(axis=1, initial=0.0)
+        car, corner = np.nonzero(s.corner_force > 0.0)
+        other = np.asarray(s.corner_other)[car, corner] - 1
+        known = other >= 0
+        np.maximum.at(largest, other[known], s.corner_force[car, corner][known])
+        return largest
+
+    def coupler_states(self, s: Sample) -> Any:
+        """``derail_msgs/CouplerStates`` of a sample."""
+        c = np.ascontiguousarray
+        striker = c(s.striker_force.T)
+        force = c(s.coupler_force.T)
+        return self._couplers(
+            header=self.context.header(s.time),
+            run_id=self.context.run_id,
+            step=s.step,
+            time=s.time,
+            coupled=c(s.coupled, dtype=np.uint8),
+            relative_angle=c(s.coupler_angle),
+            knuckle_moment=c(s.knuckle_moment),
+            constraint_force_x=force[0],
+            constraint_force_y=force[1],
+            gap_error=c(s.coupler_gap),
+            striker_force_front=striker[0],
+            striker_force_rear=striker[1],
+        )
+
+    def energy(self, s: Sample) -> Any:
+        """``derail_msgs/EnergyLedger`` of a sample.
+
+        The engine counts energy taken out of the cars; the message gives the work on them.
+        """
+        from derail_ros.engine import ENERGY_ENTRIES
+
+        ledger = dict(zip(ENERGY_ENTRIES, s.energy.tolist()))
+        initial = ledger["initial"]
+        return self._energy(
+            header=self.context.header(s.time),
+            run_id=self.context.run_id,
+            step=s.step,
+            time=s.time,
+            initial=initial,
+            kinetic=ledger["kinetic"],
+            striker_elastic=ledger["striker"],
+            knuckle_elastic=ledger["knuckle"],
+            work_brakes=-ledger["brakes"],
+            work_ground_trucks=-ledger["ground_trucks"],
+            work_ground_body=-ledger["ground_body"],
+            work_collisions=-ledger["collisions"],
+            work_striker_dampers=-ledger["striker_dampers"],
+            work_knuckles_released=-ledger["knuckles_released"],
+            work_external=ledger["external"],
+            stabilization_net=ledger["stabilization_net"],
+            stabilization_gross=ledger["stabilization_gross"],
+            # Both sides of the two balances name the same leftover, with opposite signs.
+            residual=-ledger["residual"],
+            residual_relative=-ledger["residual"] / initial if initial > 0.0 else math.nan,
+        )
+
+    def encode(self, sample: Sample) -> list[tuple[str, bytes]]:
+        """Topic name and CDR bytes of each state message of a sample."""
+        return [
+            ("car_poses", self.poses(sample)),
+            ("train_state", serialize(self.train_state(sample))),
+            ("coupler_states", serialize(self.coupler_states(sample))),
+            ("energy", serialize(self.energy(sample))),
+        ]

@@ -1,0 +1,136 @@
+"""The topics of the simulator: one table for publishers, recordings and documentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of the simulator.
+
+    Attributes
+    ----------
+    name : relative topic name (absolute for those that belong to the whole graph)
+    msgtype : type of its messages
+    depth : depth of its history
+    latched : transient local: a late subscriber gets the last ``depth`` messages
+    when : when it is sent
+    recorded : part of a recording made by the simulator itself
+    """
+
+    name: str
+    msgtype: str
+    depth: int
+    latched: bool
+    when: str
+    recorded: bool = True
+
+
+STATE_RATE = "`state_rate`, 50 Hz of simulation time"
+
+TOPICS: dict[str, Topic] = {
+    topic.name: topic
+    for topic in (
+        # Latched ones first: in a recording they then come before what they explain.
+        Topic("consist", "derail_msgs/msg/Consist", 1, True, "on load and reset"),
+        Topic("track", "derail_msgs/msg/Track", 1, True, "on load, reset and a new break"),
+        Topic(
+            "track_markers",
+            "visualization_msgs/msg/MarkerArray",
+            1,
+            True,
+            "on load, reset and a new break",
+        ),
+        Topic("events", "derail_msgs/msg/TrainEvent", 5000, True, "as they happen, in order"),
+        Topic(
+            "collisions",
+            "derail_msgs/msg/Collision",
+            5000,
+            True,
+            "at the peak and, final, at the end of each contact",
+        ),
+        Topic(
+            "outcome", "derail_msgs/msg/Outcome", 1, True, "1 Hz of simulation time, at the end"
+        ),
+        Topic("car_poses", "geometry_msgs/msg/PoseArray", 10, False, STATE_RATE),
+        Topic("train_state", "derail_msgs/msg/TrainState", 10, False, STATE_RATE),
+        Topic("coupler_states", "derail_msgs/msg/CouplerStates", 10, False, STATE_RATE),
+        Topic("energy", "derail_msgs/msg/EnergyLedger", 10, False, STATE_RATE),
+        Topic("command_log", "derail_msgs/msg/CommandLog", 100, False, "on each command"),
+        Topic(
+            "markers",
+            "visualization_msgs/msg/MarkerArray",
+            1,
+            False,
+            "`marker_rate`, 15 Hz: wall time when live, simulation time in recordings",
+        ),
+        Topic(
+            "/clock",
+            "rosgraph_msgs/msg/Clock",
+            1,
+            False,
+            "`clock_rate`, 100 Hz of wall time, also while paused; not by a second simulator",
+            recorded=False,
+        ),
+        Topic(
+            "/diagnostics",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            10,
+            False,
+            "1 Hz of wall time",
+            recorded=False,
+        ),
+    )
+}
+
+MANIFEST = Topic("manifest", "std_msgs/msg/String", 1, True, "first and last in a recording")
+"""Topic of a recording, not of the node: where it comes from, as JSON."""
+
+
+def bag_qos(topic: Topic) -> Qos:
+    """What a recording says of the topic's quality of service, so that a player latches it."""
+    unlimited = QosTime(2147483647, 4294967295)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        topic.depth,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+        unlimited,
+        unlimited,
+        QosLiveliness.AUTOMATIC,
+        unlimited,
+        False,
+    )
+
+
+def rclpy_qos(topic: Topic, depth: int | None = None) -> Any:
+    """The quality of service as ``rclpy`` wants it."""
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=topic.depth if depth is None else depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        ),
+    )
+
+
+def rclpy_class(msgtype: str) -> Any:
+    """The class of a message type in the installed ROS."""
+    import importlib
+
+    package, kind, name = msgtype.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
