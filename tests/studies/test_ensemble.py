@@ -161,7 +161,7 @@ def test_closing_stops_runs_at_their_next_look_and_drops_the_rest():
         assert next(results).index == 0
         before = time.perf_counter()
     assert time.perf_counter() - before < 5.0
-    assert given_up == begun[1:]
+    assert sorted(given_up) == sorted(begun[1:])
     assert len(begun) <= 4
     assert not [t for t in threading.enumerate() if t.name.startswith("derail-run")]
 

@@ -1,0 +1,198 @@
+"""A scene: all that a picture of a train at one moment needs, as plain arrays.
+
+It is made from a simulation, or from arrays read back from a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from derail_ros.engine import Outcome, Simulation
+
+F64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Int = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A train at one moment, N bodies; SI units, index 0 is car 1.
+
+    Attributes
+    ----------
+    pose : (N, 3) x, y (m) and yaw (rad) of the mass centres
+    length, width : (N,) bodies, m
+    pivot : (N,) centre to coupler pivot, m
+    truck_on : (N, 2) trucks on the rails, front and rear
+    coupled : (N-1,) coupling behind each car holds
+    represents : (N,) cars that a body stands for; more than 1 is drawn as a stand-in
+    coupler : (N, 2) absolute angles of the front and rear couplers, rad; nan where unknown
+    coupler_length : (N, 2) pivot to face, m
+    peak_force : (N,) largest corner force on each car, N; nan where unknown
+    track : (M, 2) centre line through the scene, m
+    breaks : (K, 3) rail breaks: x, y (m) and heading of the track (rad)
+    scene_length, scene_width, scene_area : bounding box of the derailed cars along and across
+        the track, m, m, m^2
+    straight : the track is straight along +X, so that the box may be drawn
+    title, subtitle : lines above the picture
+    """
+
+    pose: F64
+    length: F64
+    width: F64
+    pivot: F64
+    truck_on: Bool
+    coupled: Bool
+    represents: Int
+    coupler: F64
+    coupler_length: F64
+    peak_force: F64
+    track: F64
+    breaks: F64
+    scene_length: float = float("nan")
+    scene_width: float = float("nan")
+    scene_area: float = float("nan")
+    straight: bool = True
+    title: str = ""
+    subtitle: str = ""
+    numbers: tuple[int, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        n = len(self.pose)
+        shapes = {
+            "pose": (n, 3),
+            "length": (n,),
+            "width": (n,),
+            "pivot": (n,),
+            "truck_on": (n, 2),
+            "coupled": (max(n - 1, 0),),
+            "represents": (n,),
+            "coupler": (n, 2),
+            "coupler_length": (n, 2),
+            "peak_force": (n,),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name}: must have shape {shape}")
+        if not self.numbers:
+            object.__setattr__(self, "numbers", tuple(range(1, n + 1)))
+
+    @property
+    def derailed(self) -> Bool:
+        """(N,) a truck of the car is off the rails."""
+        return ~self.truck_on.all(axis=1)
+
+    @property
+    def free(self) -> Bool:
+        """(N,) derailed with no coupling left; a missing neighbour counts as parted."""
+        held = np.zeros(len(self.pose), dtype=bool)
+        held[:-1] |= self.coupled
+        held[1:] |= self.coupled
+        return self.derailed & ~held
+
+    def corners(self) -> F64:
+        """(N, 4, 2) corners of the bodies: front left, front right, rear right, rear left, m."""
+        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
+        along = np.array([1.0, 1.0, -1.0, -1.0]) * 0.5 * self.length[:, None]
+        across = np.array([1.0, -1.0, -1.0, 1.0]) * 0.5 * self.width[:, None]
+        x = self.pose[:, None, 0] + along * c[:, None] - across * s[:, None]
+        y = self.pose[:, None, 1] + along * s[:, None] + across * c[:, None]
+        return np.stack([x, y], axis=-1)
+
+    def pivots(self) -> F64:
+        """(N, 2, 2) front and rear coupler pivots, m."""
+        u = np.stack([np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])], axis=-1)
+        arm = self.pivot[:, None] * u
+        return np.stack([self.pose[:, :2] + arm, self.pose[:, :2] - arm], axis=1)
+
+    def faces(self) -> F64:
+        """(N, 2, 2) front and rear coupler faces, m; straight couplers where no angle is known."""
+        angle = np.where(np.isfinite(self.coupler), self.coupler, self.pose[:, 2:3])
+        u = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * self.coupler_length[..., None]
+        u[:, 1] *= -1.0
+        return self.pivots() + u
+
+
+def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str = "") -> Scene:
+    """The scene of a simulation at its present time."""
+    sample = simulation.sample()
+    return make_scene(
+        simulation.params.cars,
+        sample.q[:, :3],
+        sample.truck_on,
+        sample.coupled,
+        coupler=sample.q[:, 3:5],
+        outcome=simulation.outcome(),
+        track=simulation.track,
+        breaks=simulation.track.breaks,
+        title=title,
+        subtitle=subtitle,
+    )
+
+
+def make_scene(
+    cars: Sequence,
+    pose: F64,
+    truck_on: NDArray,
+    coupled: NDArray,
+    *,
+    coupler: F64 | None = None,
+    outcome: Outcome | None = None,
+    track: object | None = None,
+    breaks: Sequence[float] = (),
+    title: str = "",
+    subtitle: str = "",
+) -> Scene:
+    """A scene from the cars of a run (engine's ``Car`` objects), a state and an outcome.
+
+    ``track`` has the engine's ``Track.point(s) -> (x, y, heading, curvature)`` and
+    ``Track.locate(x, y) -> (s, d)``; None is the endless straight along +X.
+    """
+    pose = np.asarray(pose, dtype=float)
+    n = len(cars)
+    numbers = tuple(1 + i for i in range(n))
+    margin = 60.0
+    if track is None:
+        ends = (float(pose[:, 0].min()) - margin, float(pose[:, 0].max()) + margin)
+        line = np.array([[ends[0], 0.0], [ends[1], 0.0]])
+        places = np.array([[s, 0.0, 0.0] for s in breaks]).reshape(-1, 3)
+        straight = True
+    else:
+        s = [track.locate(float(x), float(y))[0] for x, y in pose[:, :2]]  # type: ignore[attr-defined]
+        low, high = min([*s, *breaks]) - margin, max([*s, *breaks]) + margin
+        low, high = max(low, track.start), min(high, track.end)  # type: ignore[attr-defined]
+        grid = np.linspace(low, high, max(2, int((high - low) / 2.0)))
+        points = np.array([track.point(float(u)) for u in grid])  # type: ignore[attr-defined]
+        line = points[:, :2]
+        straight = bool(np.ptp(line[:, 1]) < 1e-6)
+        if straight:
+            line = line[[0, -1]]
+        places = np.array([track.point(float(u))[:3] for u in breaks]).reshape(-1, 3)  # type: ignore[attr-defined]
+    unknown = np.full(n, np.nan)
+    return Scene(
+        pose=pose,
+        length=np.array([c.length for c in cars]),
+        width=np.array([c.width for c in cars]),
+        pivot=np.array([c.pivot_distance for c in cars]),
+        truck_on=np.asarray(truck_on, dtype=bool),
+        coupled=np.asarray(coupled, dtype=bool),
+        represents=np.array([c.represents for c in cars]),
+        coupler=np.full((n, 2), np.nan) if coupler is None else np.asarray(coupler, dtype=float),
+        coupler_length=np.array([[c.front.length, c.rear.length] for c in cars]),
+        peak_force=unknown if outcome is None else np.asarray(outcome.car_peak_force, dtype=float),
+        track=line,
+        breaks=places,
+        scene_length=float("nan") if outcome is None else outcome.scene_length,
+        scene_width=float("nan") if outcome is None else outcome.scene_width,
+        scene_area=float("nan") if outcome is None else outcome.scene_area,
+        straight=straight,
+        title=title,
+        subtitle=subtitle,
+        numbers=numbers,
+    )
