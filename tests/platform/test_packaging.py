@@ -1,0 +1,274 @@
+"""Manifests, setup.py and the tree agree; what is installed is complete."""
+
+import ast
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("derail_ros", "msg_adapters")
+
+# rosdep keys of package.xml -> names at PyPI, where they differ from python3-NAME
+ROSDEP = {"python3-yaml": "pyyaml", "python3-rosbags-pip": "rosbags"}
+# names at PyPI -> what is imported, where it differs
+IMPORTS = {"pyyaml": "yaml", "dask": "dask", "salib": "SALib"}
+# what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
+NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros"}
+WHEELS_ONLY = {"rmw_fastrtps_cpp", "rosidl_default_runtime", "rosidl_generator_py"}
+
+
+@pytest.fixture(scope="module")
+def arguments() -> dict:
+    """Return the arguments that setup.py gives to setuptools."""
+    import setuptools
+
+    given = {}
+    original = setuptools.setup
+    setuptools.setup = given.update
+    folder = os.getcwd()
+    os.chdir(ROOT)
+    try:
+        spec = importlib.util.spec_from_file_location("derail_ros_setup", ROOT / "setup.py")
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    finally:
+        setuptools.setup = original
+        os.chdir(folder)
+    return given
+
+
+def name(requirement: str) -> str:
+    """Return the name in a requirement, in lower case and without extras."""
+    return re.match(r"[\w.-]+", requirement)[0].lower()
+
+
+def manifest(path: Path) -> ElementTree.Element:
+    return ElementTree.parse(path).getroot()
+
+
+def dependencies(path: Path, *tags: str) -> set[str]:
+    return {element.text for tag in tags for element in manifest(path).findall(tag)}
+
+
+def test_manifests_are_valid():
+    catkin_pkg = pytest.importorskip("catkin_pkg.package")
+    for path in (ROOT / "package.xml", ROOT / "derail_msgs" / "package.xml"):
+        warnings = []
+        package = catkin_pkg.parse_package(str(path), warnings=warnings)
+        package.validate(warnings=warnings)
+        assert warnings == []
+
+
+def test_the_manifest_names_package_and_version_of_setup_py(arguments):
+    root = manifest(ROOT / "package.xml")
+    assert root.findtext("name") == arguments["name"]
+    assert root.findtext("version") == arguments["version"]
+    assert root.findtext("license") == arguments["license"]
+    assert root.findtext("export/build_type") == "ament_python"
+    assert manifest(ROOT / "derail_msgs" / "package.xml").findtext("export/build_type") == (
+        "ament_cmake"
+    )
+
+
+def test_dependencies_of_manifest_and_setup_py_agree(arguments):
+    needed = dependencies(ROOT / "package.xml", "depend", "exec_depend")
+    python = {key for key in needed if key.startswith("python3-")}
+    from_manifest = {ROSDEP.get(key, key.removeprefix("python3-")) for key in python}
+    assert from_manifest == {name(r) for r in arguments["install_requires"]}
+
+    ros = arguments["extras_require"]["ros"]
+    wheels = {name(r).removeprefix("ros-").replace("-", "_") for r in ros}
+    assert needed - python - NOT_ON_PYPI == wheels - WHEELS_ONLY
+
+    tests = dependencies(ROOT / "package.xml", "test_depend")
+    for key in tests:
+        assert key.removeprefix("python3-") in {
+            name(r) for r in arguments["extras_require"]["test"]
+        }
+
+
+def test_ros_wheels_and_linters_are_pinned(arguments):
+    extras = arguments["extras_require"]
+    pinned = [*extras["ros"], *(r for r in extras["dev"] if name(r) in ("ruff", "mypy"))]
+    assert len(pinned) >= 10
+    assert all(re.fullmatch(r"[\w-]+==[\d.]+", requirement) for requirement in pinned)
+
+
+def test_constraints_name_every_requirement(arguments):
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    known = {
+        re.sub(r"[-_.]+", "-", line.partition("==")[0]).lower()
+        for line in text.splitlines()
+        if not line.startswith("#")
+    }
+    required = [*arguments["install_requires"], *arguments["extras_require"]["ros"]]
+    required += [*arguments["extras_require"]["studies"], *arguments["extras_require"]["dev"]]
+    missing = {re.sub(r"[-_.]+", "-", name(r)) for r in required} - known
+    assert not missing, f"run .ci/constraints.py: {missing}"
+
+
+def test_files_of_the_ament_package_are_installed(arguments):
+    installed = {
+        f"{target}/{Path(file).name}"
+        for target, files in arguments["data_files"]
+        for file in files
+    }
+    assert "share/ament_index/resource_index/packages/derail_ros" in installed
+    assert "share/derail_ros/package.xml" in installed
+    for path in (ROOT / "launch").glob("*.launch.py"):
+        assert f"share/derail_ros/launch/{path.name}" in installed
+    for executable in ("simulator", "recorder", "player"):
+        assert f"lib/derail_ros/{executable}" in installed
+    for path in (ROOT / "config").rglob("*"):
+        if path.is_file() and not path.name.startswith("."):
+            assert f"share/derail_ros/{path.relative_to(ROOT).as_posix()}" in installed
+    assert all((ROOT / file).is_file() for _, files in arguments["data_files"] for file in files)
+
+
+def test_every_folder_with_code_is_a_package(arguments):
+    """A forgotten __init__.py works in a clone and is missing from the wheel."""
+    folders = {
+        path.parent.relative_to(ROOT).as_posix().replace("/", ".")
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*.py")
+    }
+    assert folders <= set(arguments["packages"])
+
+
+def test_data_in_the_packages_is_installed(arguments):
+    patterns = arguments["package_data"][""]
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*"):
+            if path.is_file() and path.suffix not in (".py", ".pyc"):
+                assert any(path.match(pattern) for pattern in patterns), path
+
+
+def imported(path: Path) -> dict[str, bool]:
+    """Return the top-level modules that a file imports; True where importing the file does so."""
+    found: dict[str, bool] = {}
+
+    def visit(node: ast.AST, at_once: bool) -> None:
+        for child in ast.iter_child_nodes(node):
+            names = []
+            if isinstance(child, ast.Import):
+                names = [alias.name for alias in child.names]
+            elif isinstance(child, ast.ImportFrom) and not child.level and child.module:
+                names = [child.module]
+            for top in (module.partition(".")[0] for module in names):
+                found[top] = found.get(top, False) or at_once
+            lazy = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Try))
+            typing = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test)
+            visit(child, at_once and not lazy and not typing)
+
+    visit(ast.parse(path.read_text(encoding="utf-8")), True)
+    return found
+
+
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+@pytest.fixture(scope="module")
+def modules(arguments) -> dict[str, set[str]]:
+    """Return the modules that the base and the extras bring."""
+
+    def of(requirements: list[str]) -> set[str]:
+        return {IMPORTS.get(name(r), name(r).replace("-", "_")) for r in requirements}
+
+    extras = arguments["extras_require"]
+    ros = {re.sub(r"^ros_", "", module) for module in of(extras["ros"])}
+    return {
+        "base": of(arguments["install_requires"]) | {"llvmlite"},  # numba's own
+        "ros": ros | {"derail_msgs", "rcl_interfaces"},
+        "studies": of(extras["studies"]) | {"distributed"},
+        "figures": {"mpl_toolkits"},
+    }
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_what_a_module_imports_is_a_declared_dependency(path, modules):
+    """At once: the base only, but for the nodes. Within functions or try: extras too."""
+    own = {*sys.stdlib_module_names, *PACKAGES, "tomllib", "tf2_msgs"}
+    anything = own.union(*modules.values())
+    relative = path.relative_to(ROOT).as_posix()
+    for module, at_once in imported(path).items():
+        assert module in anything, f"{relative} imports {module}, which nothing declares"
+        if at_once and not relative.startswith("derail_ros/nodes/"):
+            assert module in own | modules["base"] | modules["figures"], (
+                f"{relative} imports {module} at once: it is not a base dependency"
+            )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in SOURCES if path.is_relative_to(ROOT / "derail_ros" / "engine")],
+    ids=lambda p: p.name,
+)
+def test_the_engine_knows_nothing_of_ros_and_opens_no_file(path, modules):
+    found = imported(path)
+    assert not found.keys() & (modules["ros"] | {"msg_adapters", "rosbags", "rclpy"})
+    calls = {
+        node.func.id
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert path.name == "jit.py" or "open" not in calls
+
+
+@pytest.mark.parametrize("executable", ["simulator", "recorder", "player"])
+def test_executables_start_the_nodes(executable):
+    path = ROOT / "scripts" / executable
+    text = path.read_text(encoding="utf-8")
+    assert os.access(path, os.X_OK)
+    assert text.startswith("#!/usr/bin/env python3\n")
+    compile(text, str(path), "exec")
+    assert f"from derail_ros.nodes.{executable} import main" in text
+
+
+def test_launch_files_compile():
+    files = sorted((ROOT / "launch").glob("*"))
+    assert {path.name for path in files if path.is_file()} >= {
+        "simulator.launch.py",
+        "simulator_with_recorder.launch.py",
+        "simulator_with_rviz.launch.py",
+    }
+    for path in files:
+        if path.is_file():
+            assert path.name.endswith(".launch.py")
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            assert "generate_launch_description" in {
+                node.name for node in tree.body if isinstance(node, ast.FunctionDef)
+            }
+
+
+def test_launch_files_describe():
+    """Only where launch is installed, that is with a ROS 2 distribution."""
+    launch = pytest.importorskip("launch.launch_description")
+    pytest.importorskip("launch_ros.actions")
+    for path in (ROOT / "launch").glob("*.launch.py"):
+        spec = importlib.util.spec_from_file_location("launch_file", path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        assert isinstance(module.generate_launch_description(), launch.LaunchDescription)
+
+
+def test_the_installed_version_is_that_of_the_tree(arguments):
+    assert metadata.version("derail_ros") == arguments["version"]
+
+
+def test_citation_and_changelog_know_the_version(arguments):
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {arguments['version']}\n" in citation
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert "## [Unreleased]" in changelog or f"## [{arguments['version']}]" in changelog
+
+
+def test_make_lists_its_targets():
+    answer = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for target in ("env", "run", "test", "verify", "bench", "clean"):
+        assert f"make {target}" in answer.stdout
