@@ -279,11 +279,17 @@ def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float
             )
         )
     size = float(np.clip(0.62 * 2.6 * points_per_metre, 5.0, 10.0))
-    for i, (x, y, yaw) in enumerate(scene.pose):
-        if not (window[0] < x < window[1] and window[2] < y < window[3]):
-            continue
+    for i, (x, y) in enumerate(scene.pose[:, :2]):
         if not real[i]:
-            axes.text(x, y, f"{scene.represents[i]} cars", size=7, ha="center", va="center")
+            # In the middle of what can be seen of it, if that is not too little.
+            seen = np.clip(corners[i, :, 0], window[0], window[1])
+            if np.ptp(seen) > 5.0:
+                text = f"{scene.represents[i]} cars"
+                axes.text(
+                    0.5 * (seen.min() + seen.max()), y, text, size=7, ha="center", va="center"
+                )
+            continue
+        if not (window[0] < x < window[1] and window[2] < y < window[3]):
             continue
         axes.text(
             x,
