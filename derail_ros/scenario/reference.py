@@ -1,0 +1,187 @@
+"""The format described from its models: JSON schema, and the tables of ``docs/scenarios.md``.
+
+``python -m derail_ros.scenario.reference docs/scenarios.md`` brings the page up to date.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import annotated_types
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from derail_ros.scenario.messages import model_at
+from derail_ros.scenario.rolling_stock import load_rolling_stock
+from derail_ros.scenario.scenario import list_scenarios
+from derail_ros.scenario.schema import ScenarioModel, Section
+
+BEGIN = "<!-- {}: generated, see derail_ros/scenario/reference.py -->"
+END = "<!-- end of {} -->"
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a scenario file, for editors and other programs."""
+    schema = ScenarioModel.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "derail_ros scenario, version 1"
+    # not fields of a scenario but instructions to the loader, which leaves none of them behind
+    schema["properties"]["extends"] = {
+        "type": "string",
+        "description": "name of the scenario of which only the differences are given here",
+    }
+    schema["properties"]["overrides"] = {
+        "type": "object",
+        "description": "dotted path -> value, carried out last; only with extends",
+    }
+    # what a scenario extends may give everything but the title
+    train = schema["$defs"]["Train"].pop("required")
+    schema["required"] = ["version", "title"]
+    schema["if"] = {"not": {"required": ["extends"]}}
+    schema["then"] = {"required": ["train"], "properties": {"train": {"required": train}}}
+    return schema
+
+
+def field_tables() -> str:
+    """All fields with unit, default, range and meaning, as Markdown tables."""
+    parts: list[str] = []
+    todo: list[tuple[str, type[Section]]] = [("", ScenarioModel)]
+    while todo:
+        prefix, model = todo.pop(0)
+        title = f"`{prefix}`" if prefix else "Top level"
+        rows = [f"### {title}", "", _summary(model), ""]
+        rows += ["| field | unit | default | range | meaning |", "| --- | --- | --- | --- | --- |"]
+        inner: list[tuple[str, type[Section]]] = []
+        for name, info in model.model_fields.items():
+            rows.append(_row(name, info))
+            child = model_at(model, (name,))
+            if child is not None and issubclass(child, Section):
+                inner.append((_place(prefix, name, info), child))
+        parts.append("\n".join(rows))
+        todo = [*inner, *todo]
+    return "\n\n".join(parts)
+
+
+def stock_tables() -> str:
+    """The rolling stock library as Markdown tables."""
+    stock = load_rolling_stock()
+    rows = [
+        "| car type | what it is | mass (t) | length (m) | truck centres (m) | coupler |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, car in stock.cars.items():
+        if car.mass_kg is not None:
+            mass = f"{car.mass_kg / 1000:.1f}"
+        else:
+            empty, loaded = car.empty_mass_kg or 0.0, car.loaded_mass_kg or 0.0
+            mass = f"{empty / 1000:.1f} to {loaded / 1000:.1f}"
+        cells = (
+            f"`{name}`",
+            car.title,
+            mass,
+            f"{car.length_m:g}",
+            f"{car.truck_centres_m:g}",
+            car.coupler,
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    rows += [
+        "",
+        "| coupler type | head | pivot to face (m) | pivot to striker (m) | opening (m) "
+        "| k1 (MN/m) | k2 (MN/m) |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, kind in stock.couplers.items():
+        numbers = (kind.pivot_to_face_m, kind.pivot_to_striker_m, kind.striker_opening_m)
+        stiffness = ((kind.k1_N_per_m or 0.0) / 1e6, (kind.k2_N_per_m or 0.0) / 1e6)
+        columns = [f"`{name}`", str(kind.head), *(f"{x:g}" for x in (*numbers, *stiffness))]
+        rows.append(f"| {' | '.join(columns)} |")
+    return "\n".join(rows)
+
+
+def scenario_table() -> str:
+    """The shipped scenarios as a Markdown table."""
+    rows = ["| name | what it is |", "| --- | --- |"]
+    rows += [f"| `{name}` | {title} |" for name, title in list_scenarios()]
+    return "\n".join(rows)
+
+
+GENERATED = {
+    "scenarios": scenario_table,
+    "fields": field_tables,
+    "rolling stock": stock_tables,
+}
+
+
+def fill(page: str) -> str:
+    """A page with everything between its markers made anew."""
+    for name, make in GENERATED.items():
+        begin, end = BEGIN.format(name), END.format(name)
+        before, found, rest = page.partition(begin)
+        _, closed, after = rest.partition(end)
+        if not found or not closed:
+            raise ValueError(f"the page has no markers for {name!r}")
+        page = f"{before}{begin}\n\n{make()}\n\n{end}{after}"
+    return page
+
+
+def _summary(model: type[BaseModel]) -> str:
+    return (model.__doc__ or "").strip().split("\n\n")[0].replace("``", "`")
+
+
+def _place(prefix: str, name: str, info: FieldInfo) -> str:
+    """Dotted path of what stands within a field: ``N`` is an index, ``NAME`` a free key."""
+    origin = str(info.annotation)
+    index = ".N" if origin.startswith("tuple") else ".NAME" if origin.startswith("dict") else ""
+    return f"{prefix}.{name}{index}".lstrip(".")
+
+
+def _row(name: str, info: FieldInfo) -> str:
+    extra = info.json_schema_extra
+    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    unit = "" if unit == "1" else unit
+    cells = (f"`{name}`", unit, _default(info), _range(info), info.description or "")
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def _default(info: FieldInfo) -> str:
+    default = info.default
+    if default is PydanticUndefined:
+        return "required"
+    if default is None or isinstance(default, BaseModel):
+        return ""
+    if isinstance(default, bool):
+        return str(default).lower()
+    if isinstance(default, float):
+        return f"{default:,.10g}".replace(",", " ")
+    if default in ((), {}):
+        return "none"
+    return str(default)
+
+
+def _range(info: FieldInfo) -> str:
+    words = []
+    for limit in _limits(info):
+        if isinstance(limit, annotated_types.Gt):
+            words.append(f"above {limit.gt:g}")
+        elif isinstance(limit, annotated_types.Ge):
+            words.append(f"from {limit.ge:g}")
+        elif isinstance(limit, annotated_types.Le):
+            words.append(f"to {limit.le:g}")
+    return " ".join(words)
+
+
+def _limits(info: FieldInfo) -> list[Any]:
+    """Limits of a field, whether stated on the field or on its annotated type."""
+    found = list(info.metadata)
+    for part in getattr(info.annotation, "__args__", ()):
+        for entry in getattr(part, "__metadata__", ()):
+            found += entry.metadata if isinstance(entry, FieldInfo) else [entry]
+    return found
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.write_text(fill(target.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,674 @@
+"""From the fields of a scenario to a train: types looked up, gaps filled, contradictions refused.
+
+What a single field may hold is checked in ``schema.py``; here is what takes several to judge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from derail_ros.engine.methods import METHODS
+from derail_ros.engine.params import (
+    GRAVITY,
+    BrakeParams,
+    BrakeTrigger,
+    BrakeUnit,
+    Car,
+    ContactParams,
+    CouplerType,
+    DerailmentParams,
+    GroundParams,
+    InitiationParams,
+    IntegrationParams,
+    LateralForce,
+    TrackParams,
+    TrackSegment,
+    TrainParams,
+)
+from derail_ros.scenario.errors import Refusal
+from derail_ros.scenario.messages import did_you_mean, shown
+from derail_ros.scenario.rolling_stock import RollingStock
+from derail_ros.scenario.schema import (
+    MAX_CARS,
+    BrakeSpec,
+    CarType,
+    ConsistBlock,
+    CouplerSpec,
+    Piece,
+    ScenarioModel,
+    Section,
+    engine_default,
+    to_engine,
+)
+from derail_ros.scenario.strict_yaml import Path
+
+KMH = 1.0 / 3.6
+"""1 km/h in m/s."""
+
+CYLINDER_RADIUS = 1.5
+"""Radius of the solid cylinder whose yaw inertia stands in for a missing one, m [R]."""
+
+SHORT_PIVOT_INSET = 0.34
+LONG_PIVOT_INSET = 1.16
+"""Body length less pivot distance where none is given, with couplers as short as the F79 and as
+long as the F73, m [R]: in the consist of the source these lie deeper within the body."""
+
+LONG_COUPLER = 1.3
+"""Coupler length that tells the two apart, m."""
+
+DEFAULT_WIDTH = 2.6
+"""Width of the body in collisions, m: 0.4 m less than real, which is part of the buffer."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of the consist with nothing left open.
+
+    Attributes
+    ----------
+    count : number of cars
+    name, contents : labels
+    mass : of one car, kg
+    inertia : yaw inertia, kg m^2
+    length, width : body, m
+    pivots : between the coupler pivots, m
+    trucks : between the truck pivots, m
+    front, rear : names of the coupler types
+    coupler_inertia : kg m^2
+    shoe, scale, delay : brake
+    """
+
+    count: int
+    name: str
+    contents: str
+    mass: float
+    inertia: float
+    length: float
+    width: float
+    pivots: float
+    trucks: float
+    front: str
+    rear: str
+    coupler_inertia: float
+    shoe: str
+    scale: float
+    delay: float
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """A scenario whose types are looked up and whose fields have been judged together."""
+
+    model: ScenarioModel
+    blocks: tuple[Block, ...]
+    couplers: dict[str, CouplerType]
+
+    @property
+    def n_cars(self) -> int:
+        """Number of real cars."""
+        return sum(block.count for block in self.blocks)
+
+    def cars(self) -> Iterator[Block]:
+        """The block of each car, from the first one back."""
+        for block in self.blocks:
+            for _ in range(block.count):
+                yield block
+
+
+def cylinder_inertia(mass: float, length: float) -> float:
+    """Yaw inertia of a uniform solid cylinder, ``m (L^2/12 + r^2/4)`` with r = 1.5 m [R].
+
+    Parameters
+    ----------
+    mass
+        kg.
+    length
+        m.
+
+    Returns
+    -------
+    float
+        kg m^2.
+    """
+    return mass * (length * length / 12.0 + CYLINDER_RADIUS**2 / 4.0)
+
+
+def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
+    """Look up the types, fill the gaps and check what belongs together.
+
+    Raises
+    ------
+    Refusal
+        With the path of the first mistake.
+    """
+    couplers = _couplers(model, stock)
+    blocks = tuple(
+        _block(block, ("train", "consist", i), model, stock, couplers)
+        for i, block in enumerate(model.train.consist)
+    )
+    used = {name for block in blocks for name in (block.front, block.rear)}
+    kept = {name: couplers[name] for name in sorted(used)}
+    resolved = Resolved(model, blocks, kept)
+    _check_counts(resolved)
+    _check_numbers(resolved)
+    _check_brakes(model)
+    _check_integration(model)
+    _check_track(resolved)
+    _check_derails(resolved)
+    return resolved
+
+
+# --- rolling stock ----------------------------------------------------------------------------
+
+
+def _couplers(model: ScenarioModel, stock: RollingStock) -> dict[str, CouplerType]:
+    """Engine coupler types by name: the library's, with the scenario's changes and additions."""
+    section = model.couplers
+    specs: dict[str, CouplerSpec] = dict(stock.couplers)
+    for name, spec in section.types.items():
+        base = specs.get(name)
+        specs[name] = spec if base is None else _overlay(base, spec)
+    types = {}
+    for name, spec in specs.items():
+        path = ("couplers", "types", name)
+        for key in ("head", "pivot_to_face_m", "pivot_to_striker_m", "striker_opening_m"):
+            if getattr(spec, key) is None:
+                raise Refusal((*path, key), "is required for a new coupler type")
+        if spec.k1_N_per_m is None:
+            raise Refusal((*path, "k1_N_per_m"), "is required for a new coupler type")
+        if spec.pivot_to_striker_m >= spec.pivot_to_face_m:  # type: ignore[operator]
+            reason = (
+                f"must be below the coupler length, {shown(spec.pivot_to_face_m)} m, "
+                f"is {shown(spec.pivot_to_striker_m)} m"
+            )
+            raise Refusal((*path, "pivot_to_striker_m"), reason)
+        types[name] = CouplerType(
+            name=name,
+            head=spec.head,  # type: ignore[arg-type]
+            length=spec.pivot_to_face_m,  # type: ignore[arg-type]
+            striker_arm=spec.pivot_to_striker_m,  # type: ignore[arg-type]
+            striker_opening=spec.striker_opening_m,  # type: ignore[arg-type]
+            k1=spec.k1_N_per_m,
+            k2=_first(section.k2_N_per_m, spec.k2_N_per_m, engine_default(CouplerType, "k2")),
+            damping=_first(
+                section.damping_N_s_per_m,
+                spec.damping_N_s_per_m,
+                engine_default(CouplerType, "damping"),
+            ),
+        )
+    return types
+
+
+def _overlay(base: Any, top: Any) -> Any:
+    """``base`` with what is given in ``top``."""
+    given = {k: v for k, v in top if v is not None}
+    return base.model_copy(update=given)
+
+
+def _first(*values: Any) -> Any:
+    """The first value that is given."""
+    return next((value for value in values if value is not None), None)
+
+
+def _block(
+    block: ConsistBlock,
+    path: Path,
+    model: ScenarioModel,
+    stock: RollingStock,
+    couplers: dict[str, CouplerType],
+) -> Block:
+    known = {**stock.cars, **model.train.car_types}
+    kind: CarType | None = None
+    if block.car is not None:
+        kind = known.get(block.car)
+        if kind is None:
+            reason = f"unknown car type {block.car!r}{did_you_mean(block.car, known)}"
+            raise Refusal((*path, "car"), reason)
+
+    def value(key: str, needed: bool = False) -> Any:
+        found = _first(getattr(block, key), getattr(kind, key, None))
+        if found is None and needed:
+            raise Refusal((*path, key), "is required where no car type gives it")
+        return found
+
+    def coupler(key: str) -> str:
+        name = getattr(block, key)
+        place = (*path, key)
+        if name is None:
+            name = value("coupler", needed=True)
+            place = (*path, "coupler")
+        if name not in couplers:
+            raise Refusal(place, f"unknown coupler type {name!r}{did_you_mean(name, couplers)}")
+        return str(name)
+
+    length = value("length_m", needed=True)
+    trucks = value("truck_centres_m", needed=True)
+    front, rear = coupler("front_coupler"), coupler("rear_coupler")
+    mass = _mass(block, kind, path)
+    pivots = value("coupler_pivots_m")
+    if pivots is None:
+        long = max(couplers[front].length, couplers[rear].length) > LONG_COUPLER
+        pivots = length - (LONG_PIVOT_INSET if long else SHORT_PIVOT_INSET)
+    brake: BrakeSpec = _overlay(kind.brake if kind else BrakeSpec(), block.brake)
+    result = Block(
+        count=block.count,
+        name=_first(block.name, (kind.title or block.car) if kind else None, ""),
+        contents=block.contents or "",
+        mass=mass,
+        inertia=_inertia(block, kind, mass, length),
+        length=length,
+        width=_first(value("width_m"), DEFAULT_WIDTH),
+        pivots=pivots,
+        trucks=trucks,
+        front=front,
+        rear=rear,
+        coupler_inertia=_first(block.coupler_inertia_kg_m2, model.couplers.inertia_kg_m2),
+        shoe=_first(brake.shoe, engine_default(BrakeUnit, "shoe")),
+        scale=_first(brake.scale, 1.0),
+        delay=_first(brake.delay_s, engine_default(BrakeUnit, "delay")),
+    )
+    _check_block(result, path, couplers)
+    return result
+
+
+def _mass(block: ConsistBlock, kind: CarType | None, path: Path) -> float:
+    """Mass of one car, kg: given, of its type, or between empty and loaded."""
+    if block.mass_kg is not None:
+        if block.load is not None:
+            raise Refusal((*path, "load"), "mass_kg is given too: one of the two decides")
+        return block.mass_kg
+    if kind is None:
+        key = "mass_kg"
+        raise Refusal((*path, key), "is required where no car type gives it")
+    if kind.empty_mass_kg is not None and kind.loaded_mass_kg is not None:
+        load = _first(block.load, 1.0)
+        return float(kind.empty_mass_kg + load * (kind.loaded_mass_kg - kind.empty_mass_kg))
+    if kind.mass_kg is None:
+        reason = f"car type {block.car!r} has neither mass_kg nor empty_mass_kg and loaded_mass_kg"
+        raise Refusal((*path, "car"), reason)
+    if block.load is not None:
+        raise Refusal((*path, "load"), f"car type {block.car!r} has no empty and loaded mass")
+    return kind.mass_kg
+
+
+def _inertia(block: ConsistBlock, kind: CarType | None, mass: float, length: float) -> float:
+    """Yaw inertia of one car, kg m^2."""
+    if block.inertia_kg_m2 is not None:
+        return block.inertia_kg_m2
+    if kind is not None and kind.inertia_kg_m2 is not None and length == kind.length_m:
+        full = _first(kind.mass_kg, kind.loaded_mass_kg)
+        if full is not None:
+            return float(kind.inertia_kg_m2 * (mass / full))
+    return cylinder_inertia(mass, length)
+
+
+def _check_block(block: Block, path: Path, couplers: dict[str, CouplerType]) -> None:
+    if block.pivots <= 0.0:
+        reason = f"the body of {shown(block.length)} m is too short for coupler {block.front!r}"
+        raise Refusal((*path, "length_m"), reason)
+    if block.pivots > block.length:
+        reason = f"coupler pivots beyond the body: {_over(block.pivots, block.length)}"
+        raise Refusal((*path, "coupler_pivots_m"), reason)
+    if block.trucks >= block.length:
+        reason = f"trucks beyond the body: {_over(block.trucks, block.length)}"
+        raise Refusal((*path, "truck_centres_m"), reason)
+    overhang = 0.5 * (block.length - block.pivots)
+    for key, name in (("front_coupler", block.front), ("rear_coupler", block.rear)):
+        if couplers[name].length <= overhang:
+            reason = (
+                f"coupler {name!r} of {shown(couplers[name].length)} m is shorter than the "
+                f"overhang of {shown(overhang)} m beyond its pivot"
+            )
+            raise Refusal((*path, key), reason)
+    # all of the mass at the ends of the body would give this much
+    most = block.mass * (block.length**2 + block.width**2) / 4.0
+    if block.inertia > most:
+        reason = (
+            f"{shown(block.inertia)} kg m2 is more than {shown(block.mass)} kg within "
+            f"{shown(block.length)} m can have ({most:.4g} kg m2)"
+        )
+        raise Refusal((*path, "inertia_kg_m2"), reason)
+
+
+def _over(distance: float, length: float) -> str:
+    return f"{shown(distance)} m on a length of {shown(length)} m"
+
+
+# --- checks across sections -------------------------------------------------------------------
+
+
+def _check_counts(resolved: Resolved) -> None:
+    total = 0
+    for i, block in enumerate(resolved.blocks):
+        total += block.count
+        if total > MAX_CARS:
+            reason = f"the train has {resolved.n_cars} cars, the limit is {MAX_CARS}"
+            raise Refusal(("train", "consist", i, "count"), reason)
+    start = resolved.model.train.virtual_from
+    if start is not None and start >= total:
+        reason = f"must be below the number of cars, {total}, to leave two or more, is {start}"
+        raise Refusal(("train", "virtual_from"), reason)
+
+
+def _check_numbers(resolved: Resolved) -> None:
+    """Car numbers that do not exist, or stand within the virtual body."""
+    model = resolved.model
+    total = resolved.n_cars
+    modelled = (model.train.virtual_from or total + 1) - 1
+
+    def check(path: Path, number: int | None, last: int, what: str) -> None:
+        if number is not None and number > last:
+            raise Refusal(path, f"there is no {what} {number}, the last one is {last}")
+
+    start = model.initiation
+    word = "car" if modelled == total else "modelled car"
+    for i, truck in enumerate(start.derailed_trucks):
+        check(("initiation", "derailed_trucks", i, "car"), truck.car, modelled, word)
+    bodies = modelled + (modelled < total)
+    for i, coupling in enumerate(start.parted_couplings):
+        path = ("initiation", "parted_couplings", i)
+        if bodies == 1:
+            raise Refusal(path, "a single car has no coupling")
+        check(path, coupling, bodies - 1, "coupling")
+    if start.lateral_force_N != 0.0:
+        check(("initiation", "lateral_force_car"), start.lateral_force_car, modelled, word)
+    for i, force in enumerate(start.lateral_forces):
+        check(("initiation", "lateral_forces", i, "car"), force.car, modelled, word)
+    for i, number in enumerate(model.track.rail_breaks_under_cars):
+        check(("track", "rail_breaks_under_cars", i), number, modelled, word)
+    word = "car" if modelled == total else "body"
+    check(("brakes", "signal_car"), model.brakes.signal_car, bodies, word)
+    for i, trigger in enumerate(model.brakes.triggers):
+        check(("brakes", "triggers", i, "car"), trigger.car, bodies, word)
+
+
+def _check_brakes(model: ScenarioModel) -> None:
+    brakes = model.brakes
+    if brakes.signal_source == "car" and brakes.signal_car is None:
+        raise Refusal(("brakes", "signal_car"), "is required with signal_source car")
+    if brakes.signal_source != "car" and brakes.signal_car is not None:
+        raise Refusal(("brakes", "signal_car"), "only goes with signal_source car")
+    for i, trigger in enumerate(brakes.triggers):
+        path = ("brakes", "triggers", i, "car")
+        if trigger.source == "car" and trigger.car is None:
+            raise Refusal(path, "is required with source car")
+        if trigger.source != "car" and trigger.car is not None:
+            raise Refusal(path, "only goes with source car")
+
+
+def _check_integration(model: ScenarioModel) -> None:
+    integration, contact = model.integration, model.contact
+    if integration.method not in METHODS:
+        reason = f"must be one of {', '.join(METHODS)}, is {integration.method!r}"
+        raise Refusal(("integration", "method"), reason)
+    if integration.min_step_s >= integration.max_step_s:
+        reason = f"must be below max_step_s, {shown(integration.max_step_s)} s"
+        raise Refusal(("integration", "min_step_s"), reason)
+    if contact.end_force_N > contact.begin_force_N:
+        reason = f"must not be above begin_force_N, {shown(contact.begin_force_N)} N"
+        raise Refusal(("contact", "end_force_N"), reason)
+    if contact.half_distance_m > contact.buffer_m:
+        reason = f"must not be above buffer_m, {shown(contact.buffer_m)} m"
+        raise Refusal(("contact", "half_distance_m"), reason)
+
+
+def _check_track(resolved: Resolved) -> None:
+    """The alignment's pieces, and the train and the breaks within its ends."""
+    track = resolved.model.track
+    if not track.alignment:
+        for key in ("start_coordinate_m", "start_x_m", "start_y_m", "start_heading_rad"):
+            if getattr(track, key) != 0.0:
+                raise Refusal(("track", key), "has no effect without track.alignment")
+        return
+    for i, piece in enumerate(track.alignment):
+        path: Path = ("track", "alignment", i)
+        given = [key for key in type(piece).model_fields if getattr(piece, key) is not None]
+        if len(given) != 1:
+            reason = "must be exactly one of tangent, spiral and curve"
+            raise Refusal(path, f"{reason}, has {' and '.join(given) or 'none'}")
+        spiral = piece.spiral
+        if spiral and spiral.radius_start_m is None and spiral.radius_end_m is None:
+            reason = "is required, or radius_start_m: a spiral leads from or to a curve"
+            raise Refusal((*path, "spiral", "radius_end_m"), reason)
+    begin = track.start_coordinate_m
+    end = begin + sum(segment.length for segment in _segments(track.alignment))
+    train = _bodies(resolved)
+    centre = resolved.model.initiation.position_m
+    front = centre + 0.5 * train[0][1].trucks
+    rear = centre - train[-1][0] - 0.5 * train[-1][1].trucks
+    for place, what in ((front, "front"), (rear, "rear")):
+        if not begin <= place <= end:
+            reason = (
+                f"the {what} truck of the train would stand at {place:.1f} m, the track runs "
+                f"from {begin:.1f} to {end:.1f} m"
+            )
+            raise Refusal(("initiation", "position_m"), reason)
+    for i, place in enumerate(track.rail_breaks):
+        if not begin <= place <= end:
+            reason = f"lies outside the track, which runs from {begin:.1f} to {end:.1f} m"
+            raise Refusal(("track", "rail_breaks", i), reason)
+
+
+def _check_derails(resolved: Resolved) -> None:
+    """Whether anything can leave the rails at all."""
+    model = resolved.model
+    start = model.initiation
+    if start.await_command or start.derailed_trucks:
+        return
+    if any(piece.tangent is None for piece in model.track.alignment):
+        return  # a curve may overturn the rail without further help
+    bodies = _bodies(resolved)
+    if model.train.virtual_from is not None:
+        bodies = bodies[:-1]
+    last_truck = start.position_m - bodies[-1][0] - 0.5 * bodies[-1][1].trucks
+    if any(place >= last_truck for place in _rail_breaks(resolved)):
+        return
+    for force in _lateral_forces(model):
+        weight = bodies[force.car - 1][1].mass * GRAVITY
+        share = 0.5 if force.place == "centre" else 1.0
+        if abs(force.force) * share > model.derailment.lv_limit * 0.5 * weight:
+            return
+    reason = (
+        "nothing to derail: no truck is derailed, no rail break lies ahead of the last truck, no "
+        "lateral force is above the derailment quotient, and the track is straight "
+        "(initiation.await_command accepts that)"
+    )
+    raise Refusal(("initiation",), reason)
+
+
+def _bodies(resolved: Resolved) -> list[tuple[float, Block]]:
+    """Distance behind the centre of car 1 (m) and block of each body."""
+    cars = list(_distances(resolved))
+    start = resolved.model.train.virtual_from
+    return cars if start is None else cars[:start]
+
+
+# --- to the engine ----------------------------------------------------------------------------
+
+
+def _distances(resolved: Resolved) -> Iterator[tuple[float, Block]]:
+    """Arc length behind the centre of car 1 (m) and block of each real car."""
+    distance = 0.0
+    ahead: Block | None = None
+    for block in resolved.cars():
+        if ahead is not None:
+            couplers = resolved.couplers[ahead.rear].length + resolved.couplers[block.front].length
+            distance += 0.5 * ahead.pivots + couplers + 0.5 * block.pivots
+        yield distance, block
+        ahead = block
+
+
+def _mode(instant: bool, traction_limited: bool) -> str:
+    words = ["instant"] * instant + ["traction_limited"] * traction_limited
+    return "_".join(words) or "conventional"
+
+
+def _segments(alignment: tuple[Piece, ...]) -> Iterator[TrackSegment]:
+    for piece in alignment:
+        if piece.tangent:
+            yield TrackSegment(piece.tangent.length_m)
+        elif piece.curve:
+            kappa = _curvature(piece.curve.radius_m, piece.curve.turn)
+            yield TrackSegment(piece.curve.length_m, kappa, kappa)
+        elif piece.spiral:
+            spiral = piece.spiral
+            yield TrackSegment(
+                spiral.length_m,
+                _curvature(spiral.radius_start_m, spiral.turn),
+                _curvature(spiral.radius_end_m, spiral.turn),
+            )
+
+
+def _curvature(radius: float | None, turn: str) -> float:
+    """Curvature, 1/m, positive to the left."""
+    if radius is None:
+        return 0.0
+    return 1.0 / radius if turn == "left" else -1.0 / radius
+
+
+def _rail_breaks(resolved: Resolved) -> tuple[float, ...]:
+    """Track coordinates of all breaks, m, rising."""
+    model = resolved.model
+    breaks = list(model.track.rail_breaks)
+    if model.track.rail_breaks_under_cars:
+        cars = list(_distances(resolved))
+        for number in model.track.rail_breaks_under_cars:
+            distance, block = cars[number - 1]
+            truck = model.initiation.position_m - distance + 0.5 * block.trucks
+            breaks.append(truck + model.derailment.break_ahead_of_truck_m)
+    return tuple(sorted(breaks))
+
+
+def _lateral_forces(model: ScenarioModel) -> tuple[LateralForce, ...]:
+    start = model.initiation
+    forces = [
+        LateralForce(
+            start.lateral_force_N,
+            start.lateral_force_car,
+            start.lateral_force_place,
+            start.lateral_force_start_s,
+            start.lateral_force_duration_s,
+        )
+    ]
+    forces += [
+        LateralForce(f.force_N, f.car, f.place, f.start_s, f.duration_s)
+        for f in start.lateral_forces
+    ]
+    return tuple(force for force in forces if force.force != 0.0)
+
+
+def derailed_trucks(model: ScenarioModel) -> tuple[tuple[int, str], ...]:
+    """``(car number, "front" | "rear")`` of each truck derailed from the start, each once."""
+    trucks = {
+        (truck.car, end)
+        for truck in model.initiation.derailed_trucks
+        for end in (("front", "rear") if truck.truck == "both" else (truck.truck,))
+    }
+    return tuple(sorted(trucks))
+
+
+def train_params(resolved: Resolved) -> TrainParams:
+    """The engine's parameters (SI units) of a resolved scenario."""
+    model = resolved.model
+    return TrainParams(
+        cars=_cars(resolved),
+        initiation=InitiationParams(
+            speed=model.train.speed_kmh * KMH,
+            position=model.initiation.position_m,
+            derailed_trucks=derailed_trucks(model),
+            parted_couplings=tuple(sorted(set(model.initiation.parted_couplings))),
+            lateral_forces=_lateral_forces(model),
+        ),
+        track=TrackParams(
+            segments=tuple(_segments(model.track.alignment)),
+            rail_breaks=_rail_breaks(resolved),
+            **to_engine(model.track, TrackParams),
+        ),
+        brakes=BrakeParams(
+            triggers=_triggers(model),
+            **to_engine(model.brakes, BrakeParams),
+        ),
+        ground=_copy(model.ground, GroundParams),
+        contact=_copy(model.contact, ContactParams),
+        derailment=_copy(model.derailment, DerailmentParams),
+        integration=_copy(model.integration, IntegrationParams),
+    )
+
+
+def _copy(section: Section, owner: type[Any]) -> Any:
+    return owner(**to_engine(section, owner))
+
+
+def _triggers(model: ScenarioModel) -> tuple[BrakeTrigger, ...]:
+    brakes = model.brakes
+    triggers = []
+    if brakes.signal_source != "none":
+        triggers.append(
+            BrakeTrigger(
+                source=brakes.signal_source,
+                car=brakes.signal_car or 0,
+                mode=_mode(brakes.instant, brakes.traction_limited),
+                delay=brakes.delay_s,
+            )
+        )
+    triggers += [
+        BrakeTrigger(
+            time=t.time_s,
+            source=t.source,
+            car=t.car or 0,
+            mode=_mode(t.instant, t.traction_limited),
+            delay=t.delay_s,
+        )
+        for t in brakes.triggers
+    ]
+    return tuple(triggers)
+
+
+def _cars(resolved: Resolved) -> tuple[Car, ...]:
+    """Bodies of the train; the last one may stand for several cars."""
+    scale = resolved.model.brakes.force_scale
+    cars = []
+    for distance, block in _distances(resolved):
+        unit = BrakeUnit(distance, block.shoe, block.scale * scale, block.delay, block.mass)
+        cars.append(
+            Car(
+                mass=block.mass,
+                inertia=block.inertia,
+                length=block.length,
+                width=block.width,
+                pivot_distance=0.5 * block.pivots,
+                truck_distance=0.5 * block.trucks,
+                front=resolved.couplers[block.front],
+                rear=resolved.couplers[block.rear],
+                coupler_inertia=block.coupler_inertia,
+                brakes=(unit,),
+                name=block.name,
+                contents=block.contents,
+            )
+        )
+    start = resolved.model.train.virtual_from
+    if start is None:
+        return tuple(cars)
+    return (*cars[: start - 1], _virtual_body(cars[start - 1 :]))
+
+
+def _virtual_body(cars: list[Car]) -> Car:
+    """One body in the place of the first of these cars, with the mass and the brakes of all."""
+    first = cars[0]
+    return Car(
+        mass=math.fsum(car.mass for car in cars),
+        inertia=math.fsum(car.inertia for car in cars),
+        length=first.length,
+        width=first.width,
+        pivot_distance=first.pivot_distance,
+        truck_distance=first.truck_distance,
+        front=first.front,
+        rear=first.rear,
+        coupler_inertia=first.coupler_inertia,
+        brakes=tuple(unit for car in cars for unit in car.brakes),
+        represents=len(cars),
+        name=f"{len(cars)} virtual cars",
+    )

@@ -1,0 +1,523 @@
+"""Scenarios: loaded by name, from a file or from text, overridden, resolved, written out.
+
+A file may say ``extends: NAME`` (a scenario's name, never a path) and give only what differs:
+mappings are merged key by key, anything else is replaced. Its ``overrides`` (dotted path: value)
+come last. Errors point to the file and line the offending value came from.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from derail_ros.engine.params import TrainParams
+from derail_ros.scenario import files
+from derail_ros.scenario.errors import Refusal, ScenarioError
+from derail_ros.scenario.messages import did_you_mean, first_mistake, shown
+from derail_ros.scenario.resolve import (
+    DEFAULT_WIDTH,
+    Block,
+    Resolved,
+    derailed_trucks,
+    resolve,
+    train_params,
+)
+from derail_ros.scenario.rolling_stock import RollingStock, load_rolling_stock
+from derail_ros.scenario.schema import FORMAT_VERSION, ScenarioModel
+from derail_ros.scenario.strict_yaml import (
+    MAX_DEPTH,
+    Document,
+    Mark,
+    Path,
+    dotted,
+    dump,
+    parse,
+    parse_value,
+)
+
+Dirs = Iterable["str | os.PathLike[str]"] | None
+
+MAX_EXTENDS = 8
+"""Longest chain of ``extends``."""
+
+
+class ScenarioInfo(NamedTuple):
+    """A scenario in a list; the title of one that cannot be read says why."""
+
+    name: str
+    title: str
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A valid scenario; two are equal if their names and their resolved contents are.
+
+    Attributes
+    ----------
+    name : what it was loaded as; not part of its content
+    model : its fields as they were given, with all defaults, in the units of their names
+    """
+
+    name: str
+    model: ScenarioModel
+    _resolved: Resolved = field(repr=False)
+    _document: Document = field(repr=False)
+    _stock: RollingStock = field(repr=False)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Scenario):
+            return NotImplemented
+        return (self.name, self.hash) == (other.name, other.hash)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.hash))
+
+    @property
+    def title(self) -> str:
+        """What it is, in a line."""
+        return self.model.title
+
+    @property
+    def description(self) -> str:
+        """What it is, at length."""
+        return self.model.description
+
+    @property
+    def source(self) -> str:
+        """Where the numbers come from."""
+        return self.model.source
+
+    @property
+    def n_cars(self) -> int:
+        """Number of real cars, whether modelled or within the virtual body."""
+        return self._resolved.n_cars
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 (hex) of the canonical JSON of :meth:`resolved`."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> str:
+        text = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def to_params(self) -> TrainParams:
+        """Parameters of the engine, SI units."""
+        return train_params(self._resolved)
+
+    def resolved(self) -> dict[str, Any]:
+        """All fields with defaults and types filled in, as plain data fit for JSON.
+
+        It is a scenario again: self-contained, with the same train and the same dotted paths.
+        """
+        return _resolved_data(self._resolved)
+
+    def to_yaml(self) -> str:
+        """The resolved scenario as YAML text, which loads again without any library."""
+        return dump(_compact(self.resolved()))
+
+    def with_overrides(self, overrides: Mapping[str, Any]) -> Scenario:
+        """A copy with other values at the given dotted paths.
+
+        Where the mass of a car changes (``train.consist.N.mass_kg`` or ``.load``) and its yaw
+        inertia was given for the mass before, the inertia changes in proportion, unless it is
+        overridden too.
+
+        Parameters
+        ----------
+        overrides
+            Dotted path -> value; lists and mappings are replaced as a whole.
+
+        Raises
+        ------
+        ScenarioError
+            Naming the path.
+        """
+        marks = {path: Mark(self.name, None) for path in overrides}
+        return self._with(overrides, marks)
+
+    def _with(self, overrides: Mapping[str, Any], marks: Mapping[str, Mark]) -> Scenario:
+        document = Document(
+            copy.deepcopy(self._document.data), self._document.file, dict(self._document.marks)
+        )
+        steps = {text: _split(text, marks[text]) for text in overrides}
+        overridden = set(steps.values())
+        for text, path in steps.items():
+            if any(path[:n] in overridden for n in range(1, len(path))):
+                reason = "overlaps with another override"
+                raise _bad_path(path, marks[text], reason)
+            _put(document.data, path, _plain(overrides[text], text, marks[text]), marks[text])
+        _settle_masses(document, overridden)
+        document.marks = _without(document.marks, overridden)
+        document.marks.update({path: marks[text] for text, path in steps.items()})
+        before = self._resolved.blocks
+        changed = _build(self.name, document, self._stock)
+        if _scale_inertia(document, overridden, before, changed._resolved.blocks):
+            changed = _build(self.name, document, self._stock)
+        return changed
+
+
+# --- loading ----------------------------------------------------------------------------------
+
+
+def load_scenario(name_or_path: str | os.PathLike[str], dirs: Dirs = None) -> Scenario:
+    """Load a scenario by its name or from a file.
+
+    Parameters
+    ----------
+    name_or_path
+        A text with a path separator or ending in ``.yaml`` is a path, anything else a name.
+    dirs
+        Folders searched for names before the shipped ones.
+
+    Raises
+    ------
+    ScenarioError
+        With the first mistake.
+    """
+    text = os.fspath(name_or_path)
+    if not files.is_path(text):
+        return load_scenario_by_name(text, dirs)
+    path = FilePath(text)
+    # what it extends may lie beside it
+    folders = (path.parent, *files.search_dirs(dirs))
+    return _load(files.read_text(path), str(path), path.stem, folders, (path.resolve(),))
+
+
+def load_scenario_by_name(name: str, dirs: Dirs = None) -> Scenario:
+    """Load a scenario by its name alone; whatever the name is, it is never opened as a path."""
+    folders = files.search_dirs(dirs)
+    path = files.find(name, folders)
+    if path is None:
+        reason = f"unknown scenario{_near_names(name, folders)}"
+        if not files.is_name(name):
+            reason = "not a scenario name: letters, digits, '_', '-' and '.' only"
+        raise ScenarioError(name if files.is_name(name) else shown(name), None, "", reason)
+    return _load(files.read_text(path), str(path), name, folders, (path.resolve(),))
+
+
+def loads_scenario(text: str, name: str = "<inline>", dirs: Dirs = None) -> Scenario:
+    """Load a scenario from YAML text.
+
+    Parameters
+    ----------
+    text
+        The YAML text.
+    name
+        What errors call it, and the name of the scenario.
+    dirs
+        Folders searched, before the shipped ones, for the scenario that it extends.
+    """
+    return _load(text, name, name, files.search_dirs(dirs))
+
+
+def list_scenarios(dirs: Dirs = None) -> list[ScenarioInfo]:
+    """Name and title of every scenario that can be loaded by name, sorted by name."""
+    found = []
+    for name, path in files.all_files(files.search_dirs(dirs)):
+        try:
+            title = parse(files.read_text(path), str(path)).data.get("title")
+            title = title if isinstance(title, str) else "(no title)"
+        except ScenarioError as error:
+            title = f"(cannot be read: {error})"
+        found.append(ScenarioInfo(name, title))
+    return sorted(found)
+
+
+def parse_set(text: str) -> tuple[str, Any]:
+    """Read ``path=value`` as given on a command line.
+
+    Returns
+    -------
+    tuple
+        Dotted path and value; the value is read as YAML (``1e6``, ``true``, ``null``, ``[1, 2]``).
+    """
+    path, equals, value = text.partition("=")
+    path = path.strip()
+    if not equals or not path:
+        raise ScenarioError("--set", None, "", f"must be PATH=VALUE, is {shown(text)}")
+    return path, parse_value(value, "--set", path)
+
+
+def _load(
+    text: str,
+    file: str,
+    name: str,
+    folders: tuple[FilePath, ...],
+    seen: tuple[FilePath, ...] = (),
+) -> Scenario:
+    """Read a text, and before it the scenarios that it extends (``seen``: those on the way)."""
+    document = parse(text, file)
+    _check_version(document)
+    overrides, marks = _take_overrides(document)
+    if "extends" in document.data:
+        _merge_below(document, _base(document, folders, seen))
+    scenario = _build(name, document, load_rolling_stock())
+    return scenario._with(overrides, marks) if overrides else scenario
+
+
+def _check_version(document: Document) -> None:
+    if "version" not in document.data:
+        raise document.error(("version",), f"is required: the format has version {FORMAT_VERSION}")
+    version = document.data["version"]
+    if type(version) is not int or version != FORMAT_VERSION:
+        reason = f"must be {FORMAT_VERSION}, the version of the format that is read here, is "
+        is_float = isinstance(version, float)
+        raise document.error(
+            ("version",), reason + (repr(version) if is_float else shown(version))
+        )
+
+
+def _take_overrides(document: Document) -> tuple[dict[str, Any], dict[str, Mark]]:
+    """Take ``overrides`` out of a document, with the place of each."""
+    if "overrides" not in document.data:
+        return {}, {}
+    place: Path = ("overrides",)
+    if "extends" not in document.data:
+        raise document.error(place, "only goes with extends")
+    values = document.data.pop("overrides")
+    if not isinstance(values, dict):
+        reason = "must be a mapping of dotted paths to values"
+        raise document.error(place, f"{reason}, is {shown(values)}")
+    return values, {text: document.mark((*place, text)) for text in values}
+
+
+def _base(
+    document: Document, folders: tuple[FilePath, ...], seen: tuple[FilePath, ...]
+) -> Document:
+    """The document of the scenario that ``document`` extends, its overrides carried out."""
+    name = document.data.pop("extends")
+    place: Path = ("extends",)
+    if not isinstance(name, str) or not files.is_name(name):
+        raise document.error(place, f"must be the name of a scenario, is {shown(name)}")
+    path = files.find(name, folders)
+    if path is None:
+        raise document.error(place, f"unknown scenario {name!r}{_near_names(name, folders)}")
+    real = path.resolve()
+    if real in seen:
+        raise document.error(place, f"goes round in a circle: {name!r} is on the way already")
+    if len(seen) >= MAX_EXTENDS:
+        raise document.error(place, f"a chain of more than {MAX_EXTENDS} scenarios")
+    return _load(files.read_text(path), str(path), name, folders, (*seen, real))._document
+
+
+def _near_names(name: str, folders: tuple[FilePath, ...]) -> str:
+    return did_you_mean(name, [known for known, _ in files.all_files(folders)])
+
+
+def _merge_below(document: Document, base: Document) -> None:
+    """Put the base below a document: mappings are merged key by key, the rest is replaced."""
+    replaced: set[Path] = set()
+
+    def merge(below: dict[str, Any], top: dict[str, Any], path: Path) -> dict[str, Any]:
+        merged = dict(below)
+        for key, value in top.items():
+            old = merged.get(key)
+            if isinstance(old, dict) and isinstance(value, dict):
+                merged[key] = merge(old, value, (*path, key))
+            else:
+                merged[key] = value
+                replaced.add((*path, key))
+        return merged
+
+    # a title that was not written for the variant would mislead
+    inherited = {k: v for k, v in base.data.items() if k not in ("title", "description")}
+    document.data = merge(inherited, document.data, ())
+    document.marks = _without(base.marks, replaced) | document.marks
+
+
+def _without(marks: dict[Path, Mark], replaced: set[Path]) -> dict[Path, Mark]:
+    """Marks but for those at or below the replaced paths."""
+    return {
+        path: mark
+        for path, mark in marks.items()
+        if not any(path[:n] in replaced for n in range(1, len(path) + 1))
+    }
+
+
+def _build(name: str, document: Document, stock: RollingStock) -> Scenario:
+    """Validate a document."""
+    try:
+        model = ScenarioModel.model_validate(document.data)
+    except ValidationError as error:
+        mistake = first_mistake(error, ScenarioModel)
+        raise document.error(mistake.path, mistake.reason) from None
+    try:
+        resolved = resolve(model, stock)
+    except Refusal as refusal:
+        raise document.error(refusal.path, refusal.reason) from None
+    return Scenario(name, model, resolved, document, stock)
+
+
+# --- overrides --------------------------------------------------------------------------------
+
+_FIXED = ("version", "extends", "overrides")
+_INDEX = re.compile(r"(0|[1-9][0-9]{0,5})\Z")
+
+
+def _split(text: str, mark: Mark) -> Path:
+    if not isinstance(text, str) or not all(text.split(".")):
+        raise ScenarioError(mark.file, mark.line, shown(text), "is not a dotted path")
+    if len(text.split(".")) > MAX_DEPTH:
+        raise ScenarioError(mark.file, mark.line, shown(text), "is too long a path")
+    path = tuple(int(step) if _INDEX.match(step) else step for step in text.split("."))
+    if path[0] in _FIXED:
+        raise ScenarioError(mark.file, mark.line, text, "cannot be overridden")
+    return path
+
+
+def _plain(value: Any, text: str, mark: Mark, depth: int = 0) -> Any:
+    """A value as YAML would give it; numbers of numpy become Python's."""
+    if depth > MAX_DEPTH:
+        raise ScenarioError(mark.file, mark.line, text, f"nested deeper than {MAX_DEPTH} levels")
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, text, mark, depth + 1) for k, v in value.items()}
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return _plain(value.tolist(), text, mark, depth + 1)
+    if isinstance(value, (list, tuple)):
+        return [_plain(v, text, mark, depth + 1) for v in value]
+    reason = f"a {type(value).__name__} cannot stand in a scenario"
+    raise ScenarioError(mark.file, mark.line, text, reason)
+
+
+def _put(data: dict[str, Any], path: Path, value: Any, mark: Mark) -> None:
+    """Set the value at a path, making the mappings on the way that are not given."""
+    here: Any = data
+    for n, step in enumerate(path):
+        last = n == len(path) - 1
+        if isinstance(here, list):
+            if not isinstance(step, int) or step >= len(here):
+                size = f"it has {len(here)} entries, numbered from 0"
+                raise _bad_path(path, mark, f"no entry {step!r}: {size}")
+        elif isinstance(here, dict) and isinstance(step, str):
+            if not last and here.get(step) is None:
+                if isinstance(path[n + 1], int):
+                    raise _bad_path(path, mark, f"no entry {path[n + 1]}: the list is empty")
+                here[step] = {}
+        else:
+            raise _bad_path(path, mark, f"{dotted(path[:n])} has no field {step!r}")
+        if last:
+            here[step] = value
+        else:
+            here = here[step]
+
+
+def _bad_path(path: Path, mark: Mark, reason: str) -> ScenarioError:
+    return ScenarioError(mark.file, mark.line, dotted(path), reason)
+
+
+def _touched(overridden: set[Path], block: int) -> set[Path]:
+    """Overridden paths within a block of the consist, relative to it."""
+    place: Path = ("train", "consist", block)
+    return {path[3:] for path in overridden if path[:3] == place}
+
+
+def _settle_masses(document: Document, overridden: set[Path]) -> None:
+    """Of load and mass, which exclude each other, the overridden one counts."""
+    for path in overridden:
+        if path[:2] != ("train", "consist") or len(path) != 4:
+            continue
+        entry = document.data["train"]["consist"][path[2]]
+        other = {"mass_kg": "load", "load": "mass_kg"}.get(str(path[3]))
+        if other and entry[path[3]] is not None and (*path[:3], other) not in overridden:
+            entry.pop(other, None)
+
+
+def _scale_inertia(
+    document: Document,
+    overridden: set[Path],
+    before: tuple[Block, ...],
+    after: tuple[Block, ...],
+) -> bool:
+    """Scale inertias that were given for the mass before an override; whether any was."""
+    scaled = False
+    for i in range(min(len(before), len(after))):
+        touched = _touched(overridden, i)
+        if not touched & {("mass_kg",), ("load",)} or touched & {("inertia_kg_m2",), ("car",), ()}:
+            continue
+        entry = document.data["train"]["consist"][i]
+        if entry.get("inertia_kg_m2") is not None and before[i].mass != after[i].mass:
+            entry["inertia_kg_m2"] = before[i].inertia * (after[i].mass / before[i].mass)
+            scaled = True
+    return scaled
+
+
+# --- writing ----------------------------------------------------------------------------------
+
+
+def _resolved_data(resolved: Resolved) -> dict[str, Any]:
+    data: dict[str, Any] = resolved.model.model_dump(mode="json")
+    data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
+    data["train"]["car_types"] = {}
+    couplers = data["couplers"]
+    couplers["k2_N_per_m"] = None
+    couplers["damping_N_s_per_m"] = None
+    couplers["types"] = {
+        name: {
+            "head": kind.head,
+            "pivot_to_face_m": kind.length,
+            "pivot_to_striker_m": kind.striker_arm,
+            "striker_opening_m": kind.striker_opening,
+            "k1_N_per_m": kind.k1,
+            "k2_N_per_m": kind.k2,
+            "damping_N_s_per_m": kind.damping,
+        }
+        for name, kind in resolved.couplers.items()
+    }
+    data["track"]["alignment"] = [
+        {key: value for key, value in piece.items() if value is not None}
+        for piece in data["track"]["alignment"]
+    ]
+    data["initiation"]["derailed_trucks"] = [
+        {"car": car, "truck": truck} for car, truck in derailed_trucks(resolved.model)
+    ]
+    return data
+
+
+def _block_data(block: Block) -> dict[str, Any]:
+    same = block.front == block.rear
+    ends = {"front_coupler": block.front, "rear_coupler": block.rear}
+    return {
+        "count": block.count,
+        "name": block.name,
+        "contents": block.contents,
+        "mass_kg": block.mass,
+        "inertia_kg_m2": block.inertia,
+        "length_m": block.length,
+        "width_m": block.width,
+        "coupler_pivots_m": block.pivots,
+        "truck_centres_m": block.trucks,
+        **({"coupler": block.front} if same else ends),
+        "coupler_inertia_kg_m2": block.coupler_inertia,
+        "brake": {"shoe": block.shoe, "scale": block.scale, "delay_s": block.delay},
+    }
+
+
+def _compact(data: dict[str, Any]) -> dict[str, Any]:
+    """Resolved data with the cars' commonplaces left out, so that 1000 cars stay readable."""
+    left_out = {
+        "count": 1,
+        "name": "",
+        "contents": "",
+        "width_m": DEFAULT_WIDTH,
+        "coupler_inertia_kg_m2": data["couplers"]["inertia_kg_m2"],
+        "brake": {"shoe": "composition", "scale": 1.0, "delay_s": 0.0},
+    }
+    consist = [
+        {key: value for key, value in entry.items() if left_out.get(key) != value}
+        for entry in data["train"]["consist"]
+    ]
+    return {**data, "train": {**data["train"], "consist": consist}}

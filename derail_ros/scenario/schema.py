@@ -1,0 +1,658 @@
+"""The scenario format, version 1: what may stand in a file, in which unit, with which default.
+
+The models check one field at a time; what takes several fields to judge is in ``resolve.py``.
+Key names carry their unit. Defaults come from the engine's parameter classes, so that the two
+cannot part; the same field definitions yield the JSON schema and the tables in
+``docs/scenarios.md``.
+
+Defaults marked [R] are reconstructed: the surviving copy of the source (E. E. Toma, *A Computer
+Model of a Derailment*, PhD thesis, Queen's University, 1998) lost or never gave them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    WithJsonSchema,
+)
+
+from derail_ros.engine.params import (
+    BrakeParams,
+    BrakeTrigger,
+    BrakeUnit,
+    Car,
+    ContactParams,
+    DerailmentParams,
+    GroundParams,
+    InitiationParams,
+    IntegrationParams,
+    LateralForce,
+    TrackParams,
+)
+
+FORMAT_VERSION = 1
+"""Version of the scenario format that this code reads and writes."""
+
+MAX_CARS = 1000
+"""Largest number of cars in a train."""
+
+Number = Annotated[
+    float,
+    Field(strict=True, allow_inf_nan=False),
+    AfterValidator(lambda x: x + 0.0),  # -0.0 becomes 0.0, which has another hash otherwise
+]
+Integer = Annotated[int, Field(strict=True)]
+Switch = Annotated[bool, Field(strict=True)]
+CarNumber = Annotated[int, Field(strict=True, ge=1, le=MAX_CARS)]
+Text = Annotated[str, StringConstraints(strict=True, max_length=4000)]
+Title = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=120)]
+Label = Annotated[str, StringConstraints(strict=True, max_length=60)]
+TypeName = Annotated[
+    str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,59}$")
+]
+Shoe = Literal["composition", "cast_iron", "none"]
+Turn = Literal["left", "right"]
+
+
+def _load_fraction(value: Any) -> Any:
+    """``empty`` and ``loaded`` as 0 and 1."""
+    return {"empty": 0.0, "loaded": 1.0}.get(value, value) if isinstance(value, str) else value
+
+
+Load = Annotated[
+    float,
+    Field(strict=True, allow_inf_nan=False, ge=0, le=1),
+    BeforeValidator(_load_fraction),
+    WithJsonSchema(
+        {"anyOf": [{"enum": ["empty", "loaded"]}, {"type": "number", "minimum": 0, "maximum": 1}]}
+    ),
+]
+
+
+def engine_default(owner: type[Any], name: str) -> Any:
+    """Default of a field of one of the engine's parameter classes."""
+    (field,) = (f for f in dataclasses.fields(owner) if f.name == name)
+    return field.default
+
+
+def _field(default: Any, unit: str, text: str, **limits: Any) -> Any:
+    """A field of the format: default (``...``: required), unit, meaning and limits."""
+    return Field(default, description=text, json_schema_extra={"unit": unit}, **limits)
+
+
+def _engine(owner: type[Any], name: str, unit: str, text: str, **limits: Any) -> Any:
+    """A field that is passed on as ``owner.name`` of the engine and has its default."""
+    extra: dict[str, Any] = {"unit": unit, "engine": f"{owner.__name__}.{name}"}
+    default = engine_default(owner, name)
+    return Field(default, description=text, json_schema_extra=extra, **limits)
+
+
+class Section(BaseModel):
+    """Base of all parts of a scenario: unknown keys are refused, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def to_engine(section: Section, owner: type[Any]) -> dict[str, Any]:
+    """Values of a section under the names of the engine's parameter class ``owner``."""
+    values = {}
+    for name, info in type(section).model_fields.items():
+        extra = info.json_schema_extra
+        target = str(extra.get("engine", "")) if isinstance(extra, dict) else ""
+        if target.startswith(f"{owner.__name__}."):
+            values[target.partition(".")[2]] = getattr(section, name)
+    return values
+
+
+# --- rolling stock ----------------------------------------------------------------------------
+
+
+class CouplerSpec(Section):
+    """A coupler type; with the name of a library type only what differs needs to be given."""
+
+    head: Literal["E", "F"] | None = _field(
+        None, "", "head; decides the knuckle moment and the angle at which a coupling parts"
+    )
+    pivot_to_face_m: Number | None = _field(
+        None, "m", "coupler length: pivot to mated face", gt=0, le=5
+    )
+    pivot_to_striker_m: Number | None = _field(
+        None, "m", "pivot to striker contact, below the coupler length", gt=0, le=5
+    )
+    striker_opening_m: Number | None = _field(
+        None, "m", "striker displacement at which the stiffness changes", ge=0, le=2
+    )
+    k1_N_per_m: Number | None = _field(
+        None, "N/m", "striker stiffness up to the opening", gt=0, le=1e10
+    )
+    k2_N_per_m: Number | None = _field(
+        None, "N/m", "striker stiffness beyond the opening; 50e6 unless given [R]", gt=0, le=1e11
+    )
+    damping_N_s_per_m: Number | None = _field(
+        None, "N s/m", "damper beside the striker; 4000 unless given", ge=0, le=1e8
+    )
+
+
+class BrakeSpec(Section):
+    """The brake of one car; what is not given is that of its type, or the default."""
+
+    shoe: Shoe | None = _field(
+        None, "", "brake shoe: composition (unless given), cast_iron [R] or none"
+    )
+    scale: Number | None = _field(
+        None,
+        "1",
+        "size of this car's brake, times brakes.force_scale; 1 unless given",
+        ge=0,
+        le=10,
+    )
+    delay_s: Number | None = _field(
+        None, "s", "delay after the signal has reached the car; 0 unless given", ge=0, le=600
+    )
+
+
+class CarType(Section):
+    """A car or locomotive of the library, or of ``train.car_types``."""
+
+    title: Label = _field("", "", "what it is")
+    note: Text = _field("", "", "where the numbers come from")
+    mass_kg: Number | None = _field(
+        None, "kg", "mass; or give empty and loaded mass", gt=0, le=1e6
+    )
+    empty_mass_kg: Number | None = _field(None, "kg", "mass empty", gt=0, le=1e6)
+    loaded_mass_kg: Number | None = _field(None, "kg", "mass fully loaded", gt=0, le=1e6)
+    inertia_kg_m2: Number | None = _field(
+        None,
+        "kg m2",
+        "yaw inertia at mass_kg (the loaded mass); that of a solid cylinder unless given",
+        gt=0,
+        le=1e10,
+    )
+    length_m: Number = _field(..., "m", "length of the body", gt=0, le=100)
+    width_m: Number = _field(2.6, "m", "width of the body in collisions", gt=0, le=10)
+    coupler_pivots_m: Number | None = _field(
+        None, "m", "between the coupler pivots; from length and coupler unless given", gt=0, le=100
+    )
+    truck_centres_m: Number = _field(..., "m", "between the truck pivots", gt=0, le=100)
+    coupler: TypeName = _field(..., "", "coupler type at both ends")
+    brake: BrakeSpec = _field(BrakeSpec(), "", "its brake")
+    overall_width_m: Number | None = _field(
+        None, "m", "width over all, for the record: the model uses width_m", gt=0, le=10
+    )
+    axles: Integer | None = _field(None, "1", "number of axles, for the record", ge=2, le=24)
+    power_kW: Number | None = _field(None, "kW", "power, for the record", ge=0, le=20000)
+
+
+class CarTypeFile(Section):
+    """A file of car types in ``config/rolling_stock``."""
+
+    version: Literal[1] = _field(..., "", "version of the format")
+    source: Text = _field("", "", "where the numbers come from")
+    car_types: dict[TypeName, CarType] = _field(..., "", "types by name")
+
+
+class CouplerTypeFile(Section):
+    """A file of coupler types in ``config/rolling_stock``."""
+
+    version: Literal[1] = _field(..., "", "version of the format")
+    source: Text = _field("", "", "where the numbers come from")
+    coupler_types: dict[TypeName, CouplerSpec] = _field(..., "", "types by name")
+
+
+class ConsistBlock(Section):
+    """One car, or ``count`` cars alike, of a named type or given by its numbers."""
+
+    car: TypeName | None = _field(
+        None, "", "car type; what else is given here replaces the type's values"
+    )
+    count: Integer = _field(1, "1", "number of such cars, one behind the other", ge=1, le=MAX_CARS)
+    name: Label | None = _field(None, "", "label; the type's title unless given")
+    contents: Label | None = _field(None, "", "what the cars carry")
+    load: Load | None = _field(
+        None,
+        "1",
+        "empty, loaded (unless given) or a fraction from 0 to 1, for types with an empty and a "
+        "loaded mass",
+    )
+    mass_kg: Number | None = _field(
+        None,
+        "kg",
+        "mass of one car; changing it by an override scales the yaw inertia in proportion",
+        gt=0,
+        le=1e6,
+    )
+    inertia_kg_m2: Number | None = _field(
+        None,
+        "kg m2",
+        "yaw inertia, coupler masses included. Unless given: the type's in proportion to the "
+        "mass, or m (L^2/12 + r^2/4) with r = 1.5 m [R]",
+        gt=0,
+        le=1e10,
+    )
+    length_m: Number | None = _field(None, "m", "length of the body", gt=0, le=100)
+    width_m: Number | None = _field(
+        None, "m", "width of the body in collisions; 2.6 unless given", gt=0, le=10
+    )
+    coupler_pivots_m: Number | None = _field(
+        None,
+        "m",
+        "between the coupler pivots. Unless given by the type: length - 0.34, or length - 1.16 "
+        "with couplers as long as the F73 [R]",
+        gt=0,
+        le=100,
+    )
+    truck_centres_m: Number | None = _field(None, "m", "between the truck pivots", gt=0, le=100)
+    coupler: TypeName | None = _field(None, "", "coupler type at both ends")
+    front_coupler: TypeName | None = _field(None, "", "coupler type in front, if different")
+    rear_coupler: TypeName | None = _field(None, "", "coupler type behind, if different")
+    coupler_inertia_kg_m2: Number | None = _field(
+        None, "kg m2", "inertia of each coupler; couplers.inertia_kg_m2 unless given", gt=0, le=1e7
+    )
+    brake: BrakeSpec = _field(BrakeSpec(), "", "brake of each of these cars")
+
+
+# --- sections ---------------------------------------------------------------------------------
+
+
+class Train(Section):
+    """What runs, and how fast."""
+
+    speed_kmh: Number = _field(..., "km/h", "speed at the start", gt=0, le=500)
+    consist: tuple[ConsistBlock, ...] = _field(
+        ...,
+        "",
+        "the cars from the first one back, as blocks; `train.consist.0` is the first block",
+        min_length=1,
+        max_length=MAX_CARS,
+    )
+    virtual_from: Integer | None = _field(
+        None,
+        "1",
+        "cars from this number on become one virtual body with their mass and brakes, which "
+        "never derails and never collides; null models all cars",
+        ge=2,
+        le=MAX_CARS,
+    )
+    car_types: dict[TypeName, CarType] = _field(
+        {}, "", "car types of this scenario, beside those of the library"
+    )
+
+
+class Couplers(Section):
+    """Values for all couplers, and coupler types of this scenario."""
+
+    k2_N_per_m: Number | None = _field(
+        None,
+        "N/m",
+        "striker stiffness beyond the opening for all types; null: each type's own [R]",
+        gt=0,
+        le=1e11,
+    )
+    damping_N_s_per_m: Number | None = _field(
+        None, "N s/m", "striker damper for all types; null: each type's own", ge=0, le=1e8
+    )
+    inertia_kg_m2: Number = _engine(
+        Car,
+        "coupler_inertia",
+        "kg m2",
+        "inertia of each coupler; ten times a real one, as in the published runs",
+        gt=0,
+        le=1e7,
+    )
+    types: dict[TypeName, CouplerSpec] = _field(
+        {}, "", "new coupler types, or changes to those of the library"
+    )
+
+
+class Tangent(Section):
+    """A straight piece of track."""
+
+    length_m: Number = _field(..., "m", "length", gt=0, le=1e6)
+
+
+class Curve(Section):
+    """A circular piece of track."""
+
+    length_m: Number = _field(..., "m", "length along the track", gt=0, le=1e6)
+    radius_m: Number = _field(..., "m", "radius", ge=10, le=1e6)
+    turn: Turn = _field(..., "", "left or right")
+
+
+class Spiral(Section):
+    """A clothoid: the curvature changes in proportion to the length."""
+
+    length_m: Number = _field(..., "m", "length along the track", gt=0, le=1e6)
+    radius_start_m: Number | None = _field(
+        None, "m", "radius where it begins; null: straight", ge=10, le=1e6
+    )
+    radius_end_m: Number | None = _field(
+        None, "m", "radius where it ends; null: straight", ge=10, le=1e6
+    )
+    turn: Turn = _field(..., "", "left or right")
+
+
+class Piece(Section):
+    """A piece of the alignment: exactly one of the three."""
+
+    tangent: Tangent | None = _field(None, "", "straight")
+    spiral: Spiral | None = _field(None, "", "transition")
+    curve: Curve | None = _field(None, "", "circular curve")
+
+
+class TrackSection(Section):
+    """The centre line. Track coordinates are arc lengths, growing in the direction of travel."""
+
+    alignment: tuple[Piece, ...] = _field(
+        (),
+        "",
+        "pieces in the direction of travel; none: an endless straight along +X with track "
+        "coordinate X",
+        max_length=1000,
+    )
+    start_coordinate_m: Number = _engine(
+        TrackParams, "start_coordinate", "m", "track coordinate where the alignment begins"
+    )
+    start_x_m: Number = _engine(TrackParams, "start_x", "m", "x where the alignment begins")
+    start_y_m: Number = _engine(TrackParams, "start_y", "m", "y where the alignment begins")
+    start_heading_rad: Number = _engine(
+        TrackParams, "start_heading", "rad", "direction in which it begins, CCW from +X"
+    )
+    rail_breaks: tuple[Number, ...] = _field(
+        (), "m", "track coordinates of the breaks present at the start", max_length=100
+    )
+    rail_breaks_under_cars: tuple[CarNumber, ...] = _field(
+        (),
+        "1",
+        "numbers of cars under which a rail breaks at the start: "
+        "derailment.break_ahead_of_truck_m ahead of their front truck",
+        max_length=100,
+    )
+
+
+class DerailedTruck(Section):
+    """A truck that is derailed from the start."""
+
+    car: CarNumber = _field(..., "1", "car number, 1 leads")
+    truck: Literal["front", "rear", "both"] = _field(..., "", "front, rear or both")
+
+
+class LateralForceSpec(Section):
+    """A force that starts the motion."""
+
+    force_N: Number = _field(..., "N", "size, positive to the left", ge=-1e8, le=1e8)
+    car: CarNumber = _engine(LateralForce, "car", "1", "car number")
+    place: Literal["front", "rear", "centre"] = _engine(
+        LateralForce, "place", "", "front truck, rear truck or centre of the car"
+    )
+    start_s: Number = _engine(LateralForce, "start", "s", "when it begins", ge=0, le=1e4)
+    duration_s: Number = _engine(LateralForce, "duration", "s", "how long it acts", gt=0, le=1e4)
+
+
+class Initiation(Section):
+    """How the derailment starts."""
+
+    position_m: Number = _engine(
+        InitiationParams, "position", "m", "track coordinate of the mass centre of car 1"
+    )
+    derailed_trucks: tuple[DerailedTruck, ...] = _field(
+        (), "", "trucks derailed from the start", max_length=2 * MAX_CARS
+    )
+    parted_couplings: tuple[CarNumber, ...] = _field(
+        (),
+        "1",
+        "couplings parted from the start: i is the one between cars i and i + 1",
+        max_length=MAX_CARS,
+    )
+    lateral_force_N: Number = _engine(
+        LateralForce,
+        "force",
+        "N",
+        "force that starts the motion, positive to the left [R]; 0: none",
+        ge=-1e8,
+        le=1e8,
+    )
+    lateral_force_car: CarNumber = _engine(LateralForce, "car", "1", "car on which it acts")
+    lateral_force_place: Literal["front", "rear", "centre"] = _engine(
+        LateralForce, "place", "", "where on the car: front truck, rear truck or centre"
+    )
+    lateral_force_start_s: Number = _engine(
+        LateralForce, "start", "s", "when it begins", ge=0, le=1e4
+    )
+    lateral_force_duration_s: Number = _engine(
+        LateralForce, "duration", "s", "how long it acts", gt=0, le=1e4
+    )
+    lateral_forces: tuple[LateralForceSpec, ...] = _field((), "", "further forces", max_length=100)
+    await_command: Switch = _field(
+        False, "", "accept a train that nothing derails: a rail break is to be injected later"
+    )
+
+
+class BrakeTriggerSpec(Section):
+    """A further emergency application."""
+
+    time_s: Number = _engine(BrakeTrigger, "time", "s", "when it is made", ge=0, le=1e4)
+    source: Literal["front", "rear", "both_ends", "car"] = _engine(
+        BrakeTrigger, "source", "", "where the signal starts"
+    )
+    car: CarNumber | None = _field(None, "1", "car number, for source car")
+    instant: Switch = _field(False, "", "no propagation, no rise")
+    traction_limited: Switch = _field(False, "", "force mu_t m g instead of the brake law")
+    delay_s: Number = _engine(BrakeTrigger, "delay", "s", "overall delay", ge=0, le=1e4)
+
+
+class Brakes(Section):
+    """The brakes and the emergency application at the start."""
+
+    force_N: Number = _engine(
+        BrakeParams, "force", "N", "full force F0 of a car near rest [R]", ge=0, le=1e7
+    )
+    force_scale: Number = _engine(
+        BrakeUnit, "scale", "1", "factor K_b on the brake of every car", ge=0, le=10
+    )
+    rise_time_s: Number = _engine(
+        BrakeParams, "rise_time", "s", "from zero to full force", ge=0, le=1000
+    )
+    signal_speed_m_per_s: Number = _engine(
+        BrakeParams, "signal_speed", "m/s", "speed of the emergency signal", gt=0, le=1e6
+    )
+    traction_coefficient: Number = _engine(
+        BrakeParams, "traction_coefficient", "1", "mu_t of the traction limited mode", ge=0, le=2
+    )
+    vent_on_parting: Switch = _engine(
+        BrakeParams,
+        "vent_on_parting",
+        "",
+        "a parted coupling starts the emergency from there, both ways",
+    )
+    signal_source: Literal["front", "rear", "both_ends", "car", "none"] = _engine(
+        BrakeTrigger,
+        "source",
+        "",
+        "where the signal of the application at the start comes from; none: no such application",
+    )
+    signal_car: CarNumber | None = _field(None, "1", "car number, for signal_source car")
+    delay_s: Number = _engine(
+        BrakeTrigger, "delay", "s", "overall delay of the application at the start", ge=0, le=1e4
+    )
+    instant: Switch = _field(False, "", "application at the start: no propagation, no rise")
+    traction_limited: Switch = _field(
+        False, "", "application at the start: force mu_t m g instead of the brake law"
+    )
+    triggers: tuple[BrakeTriggerSpec, ...] = _field(
+        (), "", "further emergency applications", max_length=100
+    )
+
+
+class Ground(Section):
+    """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the weight."""
+
+    c_s: Number = _engine(GroundParams, "c_s", "1", "static coefficient [R]", ge=0, le=100)
+    c_d: Number = _engine(GroundParams, "c_d", "1", "dynamic coefficient [R]", ge=0, le=100)
+    eps_m_per_s: Number = _engine(
+        GroundParams, "eps", "m/s", "speed that smooths the change at rest [R]", gt=0, le=10
+    )
+    c_v_s_per_m: Number = _engine(
+        GroundParams, "c_v", "s/m", "growth with speed [R]", ge=0, le=100
+    )
+    scale: Number = _engine(
+        GroundParams, "scale", "1", "factor on the whole reaction", ge=0, le=100
+    )
+
+
+class Contact(Section):
+    """Collisions between cars."""
+
+    force_max_N: Number = _engine(
+        ContactParams, "force_max", "N", "force at contact and beyond, F_max [R]", gt=0, le=1e9
+    )
+    half_distance_m: Number = _engine(
+        ContactParams, "half_distance", "m", "gap at which it is half, d_c [R]", gt=0, le=10
+    )
+    buffer_m: Number = _engine(
+        ContactParams, "buffer", "m", "gap from which there is none, d_b", gt=0, le=10
+    )
+    c1_s2_per_m2: Number = _engine(
+        ContactParams, "c1", "s2/m2", "speed factor: of v|v|", ge=0, le=100
+    )
+    c2_s_per_m: Number = _engine(ContactParams, "c2", "s/m", "speed factor: of v", ge=0, le=100)
+    c3: Number = _engine(ContactParams, "c3", "1", "speed factor: constant", ge=0, le=100)
+    gap_law: Literal["gaussian", "lorentzian"] = _engine(
+        ContactParams, "gap_law", "", "shape of the gap law: gaussian or lorentzian [R]"
+    )
+    begin_force_N: Number = _engine(
+        ContactParams, "begin_force", "N", "a collision begins above this [R]", gt=0, le=1e8
+    )
+    end_force_N: Number = _engine(
+        ContactParams, "end_force", "N", "and ends below this [R]", gt=0, le=1e8
+    )
+    end_hold_s: Number = _engine(
+        ContactParams, "end_hold", "s", "held for this long [R]", ge=0, le=10
+    )
+
+
+class Derailment(Section):
+    """When trucks leave the rails and couplings part."""
+
+    lv_limit: Number = _engine(
+        DerailmentParams,
+        "lv_limit",
+        "1",
+        "derailment quotient: a truck leaves the rails above this lateral over vertical force",
+        gt=0,
+        le=1e6,
+    )
+    break_follows_lateral: Switch = _engine(
+        DerailmentParams,
+        "break_follows_lateral",
+        "",
+        "a lateral derailment also breaks the rail there (rail roll-over) [R]",
+    )
+    break_ahead_of_truck_m: Number = _engine(
+        DerailmentParams,
+        "break_ahead_of_truck",
+        "m",
+        "distance ahead of the front truck at which a rail breaks under a car",
+        ge=0,
+        le=100,
+    )
+    knuckle_limit_ee_rad: Number = _engine(
+        DerailmentParams, "knuckle_limit_ee", "rad", "angle at which two E heads part", gt=0, le=3
+    )
+    knuckle_limit_ff_rad: Number = _engine(
+        DerailmentParams, "knuckle_limit_ff", "rad", "angle at which two F heads part", gt=0, le=3
+    )
+    knuckle_limit_ef_rad: Number = _engine(
+        DerailmentParams,
+        "knuckle_limit_ef",
+        "rad",
+        "angle at which an E and an F head part [R]",
+        gt=0,
+        le=3,
+    )
+
+
+class Integration(Section):
+    """How the run is integrated and when it ends."""
+
+    method: TypeName = _engine(
+        IntegrationParams,
+        "method",
+        "",
+        "rkf45 (the reference) or another method of the engine",
+    )
+    rtol: Number = _engine(
+        IntegrationParams, "rtol", "1", "relative error allowed per step", ge=1e-12, le=0.1
+    )
+    stabilization: Literal["projection", "baumgarte"] = _engine(
+        IntegrationParams, "stabilization", "", "projection or baumgarte"
+    )
+    baumgarte_velocity_per_s: Number = _engine(
+        IntegrationParams, "baumgarte_velocity", "1/s", "its velocity constant [R]", ge=0, le=1e4
+    )
+    baumgarte_position_per_s2: Number = _engine(
+        IntegrationParams, "baumgarte_position", "1/s2", "its position constant [R]", ge=0, le=1e7
+    )
+    locate_crossings: Switch = _engine(
+        IntegrationParams,
+        "locate_crossings",
+        "",
+        "find break crossings and coupling failures inside the step; false: only at step ends, "
+        "as in the source",
+    )
+    buffer_fraction: Number = _engine(
+        IntegrationParams,
+        "buffer_fraction",
+        "1",
+        "no corner moves further than this share of the buffer in one step",
+        gt=0,
+        le=1,
+    )
+    max_step_s: Number = _engine(IntegrationParams, "max_step", "s", "longest step", gt=0, le=1)
+    min_step_s: Number = _engine(
+        IntegrationParams, "min_step", "s", "shortest step: below it the run fails", gt=0, le=1
+    )
+    rest_speed_m_per_s: Number = _engine(
+        IntegrationParams,
+        "rest_speed",
+        "m/s",
+        "at rest: all cars slower than this [R]",
+        gt=0,
+        le=1,
+    )
+    rest_yaw_rate_rad_per_s: Number = _engine(
+        IntegrationParams, "rest_yaw_rate", "rad/s", "and turning slower than this [R]", gt=0, le=1
+    )
+    rest_hold_s: Number = _engine(
+        IntegrationParams, "rest_hold", "s", "for this long [R]", gt=0, le=60
+    )
+    time_limit_s: Number = _engine(
+        IntegrationParams, "time_limit", "s", "end of the run at the latest", gt=0, le=1e5
+    )
+
+
+class ScenarioModel(Section):
+    """A derailment scenario."""
+
+    version: Literal[1] = _field(..., "", "version of the format")
+    title: Title = _field(..., "", "what it is, in a line")
+    description: Text = _field("", "", "what it is, at length")
+    source: Text = _field("", "", "where the numbers come from")
+    train: Train = _field(..., "", "what runs, and how fast")
+    couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")
+    track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")
+    initiation: Initiation = _field(Initiation(), "", "how the derailment starts")
+    brakes: Brakes = _field(Brakes(), "", "brakes and their application")
+    ground: Ground = _field(Ground(), "", "reaction of the ground on derailed trucks and bodies")
+    contact: Contact = _field(Contact(), "", "collisions between cars")
+    derailment: Derailment = _field(
+        Derailment(), "", "when trucks leave the rails and couplings part"
+    )
+    integration: Integration = _field(Integration(), "", "integration and the end of the run")
