@@ -1,0 +1,132 @@
+"""Arrays of a run, by what they are for.
+
+``Model`` never changes during a run (an injected break or brake changes ``State`` only), ``State``
+is all that decides the future and the record so far, ``Work`` is scratch. N cars, M brake units, P
+rows for neighbouring pairs, K rows for contacts; columns in ``layout``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+# Columns of the report, one row a car: forces as `sample` gives them.
+R_BRAKE = 0
+R_TRUCK = 1  # ground force: front x y, rear x y
+R_BODY = 5
+R_GROUND_MOMENT = 7
+R_STRIKER = 8  # front, rear
+R_KNUCKLE = 10
+R_COLLISION = 11  # x, y, moment
+R_EXTERNAL = 14
+R_CORNER = 16  # four corners: force, gap, closing speed, other car
+N_REPORT = 32
+
+
+class Model(NamedTuple):
+    """What a run is given."""
+
+    par: F64  # (N_PAR,)
+    car: F64  # (N, N_CAR)
+    knuckle: F64  # (N-1, N_KN)
+    unit: F64  # (M, N_UNIT)
+    unit_start: I64  # (N+1,)
+    lateral: F64  # (F, N_LF)
+    track: F64  # (pieces, N_TR)
+
+
+class State(NamedTuple):
+    """What a run is at."""
+
+    q: F64  # (N, 5)
+    v: F64
+    a: F64
+    q0: F64  # beginning of the last step
+    v0: F64
+    a0: F64
+    a1: F64  # acceleration at its end with the constraints of that step
+    rail_force: F64  # (N, 2)
+    coupler_force: F64  # (N-1, 2)
+    truck_s: F64  # (N, 2) track coordinates (between steps: of q)
+    truck_on: U8  # (N, 2)
+    coupled: U8  # (N-1,)
+    truck_on0: U8  # constraints of the last step
+    coupled0: U8
+    arrival: F64  # (M, 4) arrival times of the brake signal
+    reached: U8  # (M,) its arrival has been reported
+    breaks: F64  # (B,) track coordinates, infinite where unused
+    energy: F64  # (N_ENERGY,)
+    power: F64  # (N_POWER,) at q, v
+    energy0: F64  # at the beginning of the last step
+    power0: F64
+    power1: F64  # at its end, with the constraints of that step
+    clock: F64  # (N_CLOCK,)
+    cnt: I64  # (N_CNT,)
+    built: F64  # (N, 2) places at which the neighbour list was made
+    pairs: I64  # (P, 2)
+    mask: U8  # (P, 8)
+    pair: F64  # (P, N_PAIR)
+    contact: F64  # (K, N_CONTACT)
+    peak: F64  # (N, N_PEAK)
+
+
+class Work(NamedTuple):
+    """Scratch of the kernels."""
+
+    wk: F64  # (N, N_WORK)
+    force: F64  # (N, 5)
+    stage_q: F64
+    stage_v: F64
+    kq: F64  # (stages, N, 5)
+    kv: F64
+    power: F64  # (N_POWER,)
+    kp: F64  # (stages, N_POWER)
+    gamma_t: F64  # (N, 2)
+    gamma_c: F64  # (N-1, 2)
+    lam_t: F64
+    lam_c: F64
+    dx: F64  # (N, 5)
+    truck_s: F64  # (N, 2) at the beginning of the step
+    event: F64  # (E, N_EVENT)
+    report: F64  # (N or 0, N_REPORT)
+    order: I64  # (N,) cars along X
+    pairs: I64  # (P, 2) next neighbour list
+    mask: U8
+    pair: F64
+
+
+STAGES = 7
+
+
+def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
+    """Scratch for ``n`` cars."""
+    return Work(
+        wk=np.zeros((n, L.N_WORK)),
+        force=np.zeros((n, 5)),
+        stage_q=np.zeros((n, 5)),
+        stage_v=np.zeros((n, 5)),
+        kq=np.zeros((STAGES, n, 5)),
+        kv=np.zeros((STAGES, n, 5)),
+        power=np.zeros(L.N_POWER),
+        kp=np.zeros((STAGES, L.N_POWER)),
+        gamma_t=np.zeros((n, 2)),
+        gamma_c=np.zeros((max(n - 1, 0), 2)),
+        lam_t=np.zeros((n, 2)),
+        lam_c=np.zeros((max(n - 1, 0), 2)),
+        dx=np.zeros((n, 5)),
+        truck_s=np.zeros((n, 2)),
+        event=np.zeros((event_rows, L.N_EVENT)),
+        report=np.zeros((n if report else 0, N_REPORT)),
+        order=np.arange(n),
+        pairs=np.zeros((pair_rows, 2), dtype=np.int64),
+        mask=np.zeros((pair_rows, 8), dtype=np.uint8),
+        pair=np.zeros((pair_rows, L.N_PAIR)),
+    )

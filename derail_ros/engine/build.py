@@ -1,0 +1,544 @@
+"""From parameters to the arrays of a run: validation, the model, the initial state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State
+from derail_ros.engine.errors import ParameterError
+from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
+from derail_ros.engine.methods import METHODS
+from derail_ros.engine.params import GRAVITY, Car, CouplerType, TrainParams
+from derail_ros.engine.track import Track
+
+F64 = NDArray[np.float64]
+
+SHOES = {"none": 0.0, "composition": 1.0, "cast_iron": 2.0}
+GAP_LAWS = {"gaussian": 0.0, "lorentzian": 1.0}
+STABILIZATIONS = {"projection": 1.0, "baumgarte": 0.0}
+ARRIVALS = {
+    "conventional": L.ARR_CONV,
+    "instant": L.ARR_INST,
+    "traction_limited": L.ARR_TL,
+    "instant_traction_limited": L.ARR_INST_TL,
+}
+SOURCES = ("front", "rear", "both_ends", "car")
+ENDS = ("front", "rear")
+MAX_CARS = 5000
+
+
+def require(condition: bool, field: str, reason: str) -> None:
+    """Raise a `ParameterError` unless the condition holds."""
+    if not condition:
+        raise ParameterError(field, reason)
+
+
+def finite(value: float, field: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """A finite number within ``[low, high]``."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ParameterError(field, f"must be a number, not {value!r}") from None
+    require(math.isfinite(number), field, f"must be finite, not {number}")
+    if not low <= number <= high:
+        if math.isinf(high):
+            raise ParameterError(field, f"must be at least {low:g}, not {number:g}")
+        raise ParameterError(field, f"must lie within {low:g} and {high:g}, not {number:g}")
+    return number
+
+
+def positive(value: float, field: str) -> float:
+    """A finite number above 0."""
+    number = finite(value, field)
+    require(number > 0.0, field, f"must be above 0, not {number:g}")
+    return number
+
+
+def _check_coupler(c: CouplerType, where: str) -> None:
+    require(c.head in ("E", "F"), f"{where}.head", f"must be 'E' or 'F', not {c.head!r}")
+    for name in ("length", "striker_arm", "k1", "k2"):
+        positive(getattr(c, name), f"{where}.{name}")
+    for name in ("striker_opening", "damping"):
+        finite(getattr(c, name), f"{where}.{name}", 0.0)
+
+
+def _check_car(c: Car, where: str) -> None:
+    for name in (
+        "mass",
+        "inertia",
+        "length",
+        "width",
+        "pivot_distance",
+        "truck_distance",
+        "coupler_inertia",
+    ):
+        positive(getattr(c, name), f"{where}.{name}")
+    _check_coupler(c.front, f"{where}.front")
+    _check_coupler(c.rear, f"{where}.rear")
+    half = 0.5 * c.length
+    require(
+        c.truck_distance <= half,
+        f"{where}.truck_distance",
+        f"{c.truck_distance:g} m puts the truck beyond the body's end at {half:g} m",
+    )
+    for end, coupler in (("front", c.front), ("rear", c.rear)):
+        require(
+            c.pivot_distance + coupler.length > half,
+            f"{where}.{end}.length",
+            f"{coupler.length:g} m does not reach from the pivot past the body's end "
+            f"({half - c.pivot_distance:g} m away)",
+        )
+    require(
+        isinstance(c.represents, int) and c.represents >= 1,
+        f"{where}.represents",
+        f"must be a whole number of cars from 1 on, not {c.represents!r}",
+    )
+    for j, unit in enumerate(c.brakes):
+        at = f"{where}.brakes.{j}"
+        require(unit.shoe in SHOES, f"{at}.shoe", f"must be one of {', '.join(SHOES)}")
+        finite(unit.distance, f"{at}.distance")
+        finite(unit.scale, f"{at}.scale", 0.0)
+        finite(unit.delay, f"{at}.delay", 0.0)
+        finite(unit.weight, f"{at}.weight", 0.0)
+
+
+def validate(params: TrainParams) -> None:
+    """Refuse parameters that no run can be built from, naming the field and the reason."""
+    cars = params.cars
+    require(1 <= len(cars) <= MAX_CARS, "cars", f"must be 1 to {MAX_CARS} cars, not {len(cars)}")
+    for i, car in enumerate(cars):
+        _check_car(car, f"cars.{i}")
+        require(
+            car.represents == 1 or i == len(cars) - 1,
+            f"cars.{i}.represents",
+            "only the last body may stand for several cars",
+        )
+    g = params.ground
+    for name in ("c_s", "c_d", "c_v", "scale"):
+        finite(getattr(g, name), f"ground.{name}", 0.0)
+    positive(g.eps, "ground.eps")
+    c = params.contact
+    for name in ("force_max", "half_distance", "buffer"):
+        positive(getattr(c, name), f"contact.{name}")
+    for name in ("c1", "c2", "c3", "begin_force", "end_force", "end_hold"):
+        finite(getattr(c, name), f"contact.{name}", 0.0)
+    require(c.gap_law in GAP_LAWS, "contact.gap_law", f"must be one of {', '.join(GAP_LAWS)}")
+    require(
+        c.end_force <= c.begin_force, "contact.end_force", "must not be above contact.begin_force"
+    )
+    b = params.brakes
+    for name in ("force", "rise_time", "traction_coefficient"):
+        finite(getattr(b, name), f"brakes.{name}", 0.0)
+    positive(b.signal_speed, "brakes.signal_speed")
+    for j, trigger in enumerate(b.triggers):
+        check_trigger(
+            trigger.mode, trigger.source, trigger.car, trigger.delay, len(cars),
+            f"brakes.triggers.{j}",
+        )  # fmt: skip
+        finite(trigger.time, f"brakes.triggers.{j}.time", 0.0)
+    d = params.derailment
+    positive(d.lv_limit, "derailment.lv_limit")
+    finite(d.break_ahead_of_truck, "derailment.break_ahead_of_truck", 0.0)
+    for pair in POLYNOMIALS:
+        name = f"knuckle_limit_{pair.lower()}"
+        positive(getattr(d, name), f"derailment.{name}")
+    n = params.integration
+    require(n.method in METHODS, "integration.method", f"must be one of {', '.join(METHODS)}")
+    finite(n.rtol, "integration.rtol", 1e-12, 1e-1)
+    require(
+        n.stabilization in STABILIZATIONS,
+        "integration.stabilization",
+        f"must be one of {', '.join(STABILIZATIONS)}",
+    )
+    for name in ("baumgarte_velocity", "baumgarte_position"):
+        finite(getattr(n, name), f"integration.{name}", 0.0)
+    for name in (
+        "buffer_fraction",
+        "max_step",
+        "min_step",
+        "rest_speed",
+        "rest_yaw_rate",
+        "rest_hold",
+        "time_limit",
+    ):
+        positive(getattr(n, name), f"integration.{name}")
+    require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
+    start = params.initiation
+    finite(start.speed, "initiation.speed", 0.0, 200.0)
+    finite(start.position, "initiation.position")
+    for j, (number, end) in enumerate(start.derailed_trucks):
+        at = f"initiation.derailed_trucks.{j}"
+        require(1 <= number <= len(cars), at, f"there is no car {number}")
+        require(end in ENDS, at, f"the end must be 'front' or 'rear', not {end!r}")
+        require(cars[number - 1].represents == 1, at, "a virtual body never derails")
+    for j, number in enumerate(start.parted_couplings):
+        require(
+            1 <= number < len(cars),
+            f"initiation.parted_couplings.{j}",
+            f"there is no coupling between cars {number} and {number + 1}",
+        )
+    for j, force in enumerate(start.lateral_forces):
+        at = f"initiation.lateral_forces.{j}"
+        require(1 <= force.car <= len(cars), f"{at}.car", f"there is no car {force.car}")
+        require(
+            force.place in ("front", "rear", "centre"),
+            f"{at}.place",
+            f"must be 'front', 'rear' or 'centre', not {force.place!r}",
+        )
+        finite(force.force, f"{at}.force")
+        finite(force.start, f"{at}.start", 0.0)
+        finite(force.duration, f"{at}.duration", 0.0)
+    for j, s in enumerate(params.track.rail_breaks):
+        finite(s, f"track.rail_breaks.{j}")
+
+
+def check_trigger(mode: str, source: str, car: int, delay: float, n: int, where: str) -> None:
+    """Refuse an emergency application that cannot be made."""
+    require(mode in ARRIVALS, f"{where}.mode", f"must be one of {', '.join(ARRIVALS)}")
+    require(source in SOURCES, f"{where}.source", f"must be one of {', '.join(SOURCES)}")
+    if source == "car":
+        require(1 <= car <= n, f"{where}.car", f"there is no car {car}")
+    finite(delay, f"{where}.delay", 0.0)
+
+
+def build_model(params: TrainParams, track: Track) -> Model:
+    """The arrays that do not change during a run."""
+    p = params
+    n = len(p.cars)
+    par = np.zeros(L.N_PAR)
+    par[L.GRAVITY] = GRAVITY
+    par[L.BRAKE_RISE] = p.brakes.rise_time
+    par[L.BRAKE_SPEED] = p.brakes.signal_speed
+    par[L.VENT] = float(p.brakes.vent_on_parting)
+    par[[L.G_CS, L.G_CD, L.G_EPS, L.G_CV, L.G_SCALE]] = (
+        p.ground.c_s,
+        p.ground.c_d,
+        p.ground.eps,
+        p.ground.c_v,
+        p.ground.scale,
+    )
+    c = p.contact
+    par[L.C_FMAX : L.C_LAW + 1] = (
+        c.force_max,
+        c.half_distance,
+        c.buffer,
+        c.c1,
+        c.c2,
+        c.c3,
+        c.begin_force,
+        c.end_force,
+        c.end_hold,
+        GAP_LAWS[c.gap_law],
+    )
+    par[L.LV_LIMIT] = p.derailment.lv_limit
+    par[L.BREAK_FOLLOWS] = float(p.derailment.break_follows_lateral)
+    m = p.integration
+    par[L.RTOL] = m.rtol
+    par[L.PROJECT] = STABILIZATIONS[m.stabilization]
+    par[L.B_VEL] = m.baumgarte_velocity
+    par[L.B_POS] = m.baumgarte_position
+    par[L.LOCATE] = float(m.locate_crossings)
+    par[L.STEP_SHARE] = m.buffer_fraction * c.buffer
+    par[L.H_MAX] = m.max_step
+    par[L.H_MIN] = m.min_step
+    par[L.REST_V] = m.rest_speed
+    par[L.REST_W] = m.rest_yaw_rate
+    par[L.REST_HOLD] = m.rest_hold
+    par[L.T_LIMIT] = m.time_limit
+    par[L.METHOD] = METHODS[m.method]
+
+    car = np.zeros((n, L.N_CAR))
+    units: list[list[float]] = []
+    unit_start = np.zeros(n + 1, dtype=np.int64)
+    number = 1
+    for i, k in enumerate(p.cars):
+        half_l, half_w = 0.5 * k.length, 0.5 * k.width
+        car[i] = (
+            k.mass,
+            k.inertia,
+            k.coupler_inertia,
+            half_l,
+            half_w,
+            k.pivot_distance,
+            k.truck_distance,
+            k.front.length,
+            k.rear.length,
+            k.front.striker_arm,
+            k.front.striker_opening,
+            k.front.k1,
+            k.front.k2,
+            k.front.damping,
+            k.rear.striker_arm,
+            k.rear.striker_opening,
+            k.rear.k1,
+            k.rear.k2,
+            k.rear.damping,
+            math.hypot(half_l, half_w),
+            float(k.represents > 1),
+        )
+        for j, u in enumerate(k.brakes):
+            units.append(
+                [
+                    i,
+                    u.distance,
+                    p.brakes.force * u.scale,
+                    SHOES[u.shoe],
+                    0.0
+                    if u.shoe == "none"
+                    else p.brakes.traction_coefficient * u.weight * GRAVITY,
+                    u.delay,
+                    number + min(j, k.represents - 1),
+                ]
+            )
+        number += k.represents
+        unit_start[i + 1] = len(units)
+
+    knuckle = np.zeros((max(n - 1, 0), L.N_KN))
+    for i in range(n - 1):
+        pair = pair_of_heads(p.cars[i].rear.head, p.cars[i + 1].front.head)
+        limit = getattr(p.derailment, f"knuckle_limit_{pair.lower()}")
+        knuckle[i] = (*POLYNOMIALS[pair], polynomial_root(pair), limit)
+
+    lateral = np.zeros((len(p.initiation.lateral_forces), L.N_LF))
+    for j, f in enumerate(p.initiation.lateral_forces):
+        d_t = p.cars[f.car - 1].truck_distance
+        offset = {"front": d_t, "rear": -d_t, "centre": 0.0}[f.place]
+        # Direction: filled in by `initial_state`, which knows where the truck stands.
+        lateral[j] = (f.car - 1, offset, 0.0, f.force, f.start, f.start + f.duration)
+
+    return Model(
+        par=par,
+        car=car,
+        knuckle=knuckle,
+        unit=np.array(units, dtype=np.float64).reshape(-1, L.N_UNIT),
+        unit_start=unit_start,
+        lateral=lateral,
+        track=track.pieces,
+    )
+
+
+def _pose_on_track(track: Track, s: float, d_t: float) -> tuple[float, float, float]:
+    """Mass centre and yaw of a car whose two trucks stand on the line, its centre beside ``s``.
+
+    The trucks are the points at ``s +/- e`` whose distance is twice ``d_t``.
+    """
+    lo, hi = 0.5 * d_t, 2.0 * d_t
+    for _ in range(200):
+        e = 0.5 * (lo + hi)
+        xf, yf, _, _ = track.point(s + e)
+        xr, yr, _, _ = track.point(s - e)
+        if math.hypot(xf - xr, yf - yr) > 2.0 * d_t:
+            hi = e
+        else:
+            lo = e
+        if hi - lo < 1e-13 * d_t:
+            break
+    return 0.5 * (xf + xr), 0.5 * (yf + yr), math.atan2(yf - yr, xf - xr)
+
+
+def initial_positions(params: TrainParams, track: Track) -> F64:
+    """Coordinates (N, 5) of a train standing on the line with all couplers stretched straight.
+
+    The car behind is moved along the line until the distance of the two pivots is the length of
+    the two couplers, which then point along it.
+    """
+    cars = params.cars
+    n = len(cars)
+    q = np.zeros((n, 5))
+    s = params.initiation.position
+    if len(track.pieces) == 0:
+        for i, car in enumerate(cars):
+            if i:
+                s -= car.pivot_distance + car.front.length
+            q[i, 0] = s
+            s -= car.pivot_distance + car.rear.length
+        return q
+    for i, car in enumerate(cars):
+        if i == 0:
+            q[0, :3] = _pose_on_track(track, s, car.truck_distance)
+            q[0, 3] = q[0, 2]
+        else:
+            ahead = cars[i - 1]
+            reach = ahead.rear.length + car.front.length
+            px = q[i - 1, 0] - ahead.pivot_distance * math.cos(q[i - 1, 2])
+            py = q[i - 1, 1] - ahead.pivot_distance * math.sin(q[i - 1, 2])
+            base = ahead.pivot_distance + reach + car.pivot_distance
+            near, far = s - 0.5 * base, s - 2.0 * base
+            for _ in range(200):
+                middle = 0.5 * (near + far)
+                pose = _pose_on_track(track, middle, car.truck_distance)
+                fx = pose[0] + car.pivot_distance * math.cos(pose[2])
+                fy = pose[1] + car.pivot_distance * math.sin(pose[2])
+                if math.hypot(px - fx, py - fy) < reach:
+                    near = middle
+                else:
+                    far = middle
+                if near - far < 1e-13 * base:
+                    break
+            s = middle
+            q[i, :3] = pose
+            # Unwrapped next to the yaw: the alignment may turn past pi.
+            angle = math.atan2(py - fy, px - fx)
+            angle += 2.0 * math.pi * round((pose[2] - angle) / (2.0 * math.pi))
+            q[i - 1, 4] = q[i, 3] = angle
+            jump = 2.0 * math.pi * round((q[i - 1, 2] - q[i, 2]) / (2.0 * math.pi))
+            q[i, 2] += jump
+            q[i, 3] = q[i - 1, 4] = angle + 2.0 * math.pi * round(
+                (q[i, 2] - angle) / (2.0 * math.pi)
+            )
+    q[n - 1, 4] = q[n - 1, 2]
+    return q
+
+
+def initial_velocities(params: TrainParams, track: Track, q: F64) -> F64:
+    """Velocities (N, 5) consistent with the constraints; car 1's mass centre has the speed given.
+
+    A car on the line has one degree of freedom: (Vx, Vy, yaw rate) is a multiple of z, the
+    direction that keeps both trucks on the line. The couplers, stretched along the line of their
+    pivots, carry the motion along that line to the next car and turn with it.
+    """
+    cars = params.cars
+    n = len(cars)
+    v = np.zeros((n, 5))
+    speed = params.initiation.speed
+    if len(track.pieces) == 0:
+        v[:, 0] = speed
+        return v
+
+    def direction(i: int) -> F64:
+        c, s = math.cos(q[i, 2]), math.sin(q[i, 2])
+        rows = []
+        hint = None
+        for r in (cars[i].truck_distance, -cars[i].truck_distance):
+            hint, _ = track.locate(q[i, 0] + r * c, q[i, 1] + r * s, hint)
+            h = track.point(hint)[2]
+            nx, ny = -math.sin(h), math.cos(h)
+            rows.append((nx, ny, r * (c * ny - s * nx)))
+        z = np.cross(rows[0], rows[1])
+        z /= math.hypot(z[0], z[1])
+        return z if z[0] * c + z[1] * s > 0.0 else -z
+
+    z = direction(0)
+    v[0, :3] = speed * z
+    v[0, 3] = v[0, 2]
+    for i in range(1, n):
+        ahead, car = cars[i - 1], cars[i]
+        angle = q[i, 3]
+        e = (math.cos(angle), math.sin(angle))
+        t = (-e[1], e[0])
+
+        def pivot(k: int, arm: float, w: F64) -> tuple[float, float]:
+            return (
+                w[0] - arm * math.sin(q[k, 2]) * w[2],
+                w[1] + arm * math.cos(q[k, 2]) * w[2],
+            )
+
+        z = direction(i)
+        p = pivot(i - 1, -ahead.pivot_distance, v[i - 1])
+        f = pivot(i, car.pivot_distance, z)
+        u = (p[0] * e[0] + p[1] * e[1]) / (f[0] * e[0] + f[1] * e[1])
+        v[i, :3] = u * z
+        f = pivot(i, car.pivot_distance, v[i])
+        rate = ((p[0] - f[0]) * t[0] + (p[1] - f[1]) * t[1]) / (
+            ahead.rear.length + car.front.length
+        )
+        v[i - 1, 4] = v[i, 3] = rate
+    v[n - 1, 4] = v[n - 1, 2]
+    return v
+
+
+def initial_state(params: TrainParams, model: Model, track: Track) -> State:
+    """The state at time 0, before its first evaluation; fills in ``model.lateral`` directions."""
+    n = len(params.cars)
+    start = params.initiation
+    try:
+        q = initial_positions(params, track)
+        v = initial_velocities(params, track, q)
+    except (ZeroDivisionError, FloatingPointError) as error:
+        raise ParameterError(
+            "initiation.position", f"the train does not fit the track here ({error})"
+        ) from error
+    truck_on = np.ones((n, 2), dtype=np.uint8)
+    for number, end in start.derailed_trucks:
+        truck_on[number - 1, ENDS.index(end)] = 0
+    coupled = np.ones(max(n - 1, 0), dtype=np.uint8)
+    for number in start.parted_couplings:
+        coupled[number - 1] = 0
+    truck_s = np.zeros((n, 2))
+    hint: float | None = None
+    for i, car in enumerate(params.cars):
+        for k, r in enumerate((car.truck_distance, -car.truck_distance)):
+            x = q[i, 0] + r * math.cos(q[i, 2])
+            y = q[i, 1] + r * math.sin(q[i, 2])
+            truck_s[i, k], offset = track.locate(x, y, hint)
+            hint = truck_s[i, k]
+            if not track.start <= hint <= track.end or abs(offset) > 1e-6:
+                raise ParameterError(
+                    "initiation.position",
+                    f"car {i + 1} stands beyond the alignment "
+                    f"({track.start:g} to {track.end:g} m)",
+                )
+    for row in model.lateral:
+        i, offset, force = int(row[L.LF_CAR]), row[L.LF_OFFSET], row[L.LF_Y]
+        c, s = math.cos(q[i, 2]), math.sin(q[i, 2])
+        at, _ = track.locate(q[i, 0] + offset * c, q[i, 1] + offset * s, truck_s[i, 0])
+        heading = track.point(at)[2]
+        row[L.LF_X] = -math.sin(heading) * force
+        row[L.LF_Y] = math.cos(heading) * force
+
+    m = len(model.unit)
+    breaks = np.full(2 * n + 16 + len(params.track.rail_breaks), math.inf)
+    for j, s in enumerate(params.track.rail_breaks):
+        require(
+            track.start <= s <= track.end,
+            f"track.rail_breaks.{j}",
+            f"{s:g} m lies beyond the alignment ({track.start:g} to {track.end:g} m)",
+        )
+        breaks[j] = s
+    clock = np.zeros(L.N_CLOCK)
+    clock[L.H_NEXT] = 1e-3
+    clock[L.REST_SINCE] = -1.0
+    clock[L.DURATION] = math.nan
+    peak = np.zeros((n, L.N_PEAK))
+    peak[:, [L.PK_T, L.PK_DERAIL_T, L.PK_DERAIL_V]] = math.nan
+    for number, _ in start.derailed_trucks:
+        peak[number - 1, L.PK_DERAIL_T] = 0.0
+        peak[number - 1, L.PK_DERAIL_V] = start.speed
+    zeros = np.zeros((n, 5))
+    pair_rows = 16 * n + 64
+    return State(
+        q=q,
+        v=v,
+        a=zeros.copy(),
+        q0=q.copy(),
+        v0=v.copy(),
+        a0=zeros.copy(),
+        a1=zeros.copy(),
+        rail_force=np.zeros((n, 2)),
+        coupler_force=np.zeros((max(n - 1, 0), 2)),
+        truck_s=truck_s,
+        truck_on=truck_on,
+        coupled=coupled,
+        truck_on0=truck_on.copy(),
+        coupled0=coupled.copy(),
+        arrival=np.full((m, 4), math.inf),
+        reached=np.zeros(m, dtype=np.uint8),
+        breaks=breaks,
+        energy=np.zeros(L.N_ENERGY),
+        power=np.zeros(L.N_POWER),
+        energy0=np.zeros(L.N_ENERGY),
+        power0=np.zeros(L.N_POWER),
+        power1=np.zeros(L.N_POWER),
+        clock=clock,
+        cnt=np.zeros(L.N_CNT, dtype=np.int64),
+        built=np.full((n, 2), math.nan),
+        pairs=np.zeros((pair_rows, 2), dtype=np.int64),
+        mask=np.zeros((pair_rows, 8), dtype=np.uint8),
+        pair=np.zeros((pair_rows, L.N_PAIR)),
+        contact=np.zeros((2 * pair_rows, L.N_CONTACT)),
+        peak=peak,
+    )

@@ -1,0 +1,456 @@
+"""Generalized forces on all cars at a state, and the power of each.
+
+The coordinates of a car are ``(X, Y, theta, alpha, beta)``. A force (fx, fy) at the offset (rx, ry)
+from the mass centre adds (fx, fy) and the moment ``rx fy - ry fx``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import arrays as A
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.jit import jit
+from derail_ros.engine.laws.brake import (
+    cast_iron_factor,
+    composition_factor,
+    rise,
+    smooth_direction,
+)
+from derail_ros.engine.laws.contact import (
+    FRONT,
+    LEFT,
+    REAR,
+    gap_force,
+    nearest_wall,
+    outside_mask,
+    speed_factor,
+)
+from derail_ros.engine.laws.ground import BODY_POINTS, drag
+from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
+from derail_ros.engine.laws.striker import spring_energy, spring_force
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+
+@jit
+def angles(q: F64, wk: F64) -> None:
+    """Sines and cosines of all angles."""
+    for i in range(q.shape[0]):
+        wk[i, L.W_CT] = math.cos(q[i, 2])
+        wk[i, L.W_ST] = math.sin(q[i, 2])
+        wk[i, L.W_CA] = math.cos(q[i, 3])
+        wk[i, L.W_SA] = math.sin(q[i, 3])
+        wk[i, L.W_CB] = math.cos(q[i, 4])
+        wk[i, L.W_SB] = math.sin(q[i, 4])
+
+
+@jit
+def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
+    """Energy now in the striker springs and in the knuckles, J."""
+    striker = 0.0
+    knuckle = 0.0
+    n = q.shape[0]
+    for i in range(n):
+        c = model.car[i]
+        striker += spring_energy(
+            c[L.ARM_F] * (q[i, 3] - q[i, 2]), c[L.OPEN_F], c[L.K1_F], c[L.K2_F]
+        )
+        striker += spring_energy(
+            c[L.ARM_R] * (q[i, 4] - q[i, 2]), c[L.OPEN_R], c[L.K1_R], c[L.K2_R]
+        )
+        if i < n - 1 and coupled[i]:
+            k = model.knuckle[i]
+            knuckle += knuckle_energy(
+                q[i, 4] - q[i + 1, 3], k[L.KN_0], k[L.KN_1], k[L.KN_2], k[L.KN_ROOT]
+            )
+    return striker, knuckle
+
+
+@jit
+def kinetic_energy(model: Model, v: F64) -> float:
+    """Kinetic energy of all bodies, J."""
+    total = 0.0
+    for i in range(v.shape[0]):
+        c = model.car[i]
+        total += 0.5 * (
+            c[L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+            + c[L.INERTIA] * v[i, 2] * v[i, 2]
+            + c[L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
+        )
+    return total
+
+
+@jit
+def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed: float) -> float:
+    """Retarding force of all brake units of body ``i`` with both trucks on the rails, N.
+
+    ``t_on`` decides which instant applications are on: the beginning of the step, so that a
+    force is never switched inside one.
+    """
+    composition = composition_factor(speed)
+    iron = cast_iron_factor(speed)
+    rise_time = model.par[L.BRAKE_RISE]
+    total = 0.0
+    for u in range(model.unit_start[i], model.unit_start[i + 1]):
+        shoe = model.unit[u, L.U_SHOE]
+        if shoe == 0.0:
+            continue
+        k = rise(t, arrival[u, L.ARR_CONV], rise_time)
+        if t_on >= arrival[u, L.ARR_INST]:
+            k = 1.0
+        f = k * model.unit[u, L.U_FORCE] * (composition if shoe == 1.0 else iron)
+        k = rise(t, arrival[u, L.ARR_TL], rise_time)
+        if t_on >= arrival[u, L.ARR_INST_TL]:
+            k = 1.0
+        total += max(f, k * model.unit[u, L.U_TRACTION])
+    return total
+
+
+@jit
+def _note_corner(
+    report: F64, i: int, corner: int, force: float, gap: float, closing: float, other: int
+) -> None:
+    """Keep the strongest contact of a corner for the report."""
+    base = A.R_CORNER + 4 * corner
+    if force > report[i, base]:
+        report[i, base] = force
+        report[i, base + 1] = gap
+        report[i, base + 2] = closing
+        report[i, base + 3] = other + 1
+
+
+@jit
+def _push(force: F64, q: F64, i: int, px: float, py: float, fx: float, fy: float) -> float:
+    """Add a force at a place to car ``i``; returns its moment about the mass centre."""
+    moment = (px - q[i, 0]) * fy - (py - q[i, 1]) * fx
+    force[i, 0] += fx
+    force[i, 1] += fy
+    force[i, 2] += moment
+    return moment
+
+
+@jit
+def _speed_along(v: F64, q: F64, i: int, px: float, py: float, nx: float, ny: float) -> float:
+    """Speed of the point of car ``i`` at (px, py) along (nx, ny), m/s."""
+    return nx * (v[i, 0] - v[i, 2] * (py - q[i, 1])) + ny * (v[i, 1] + v[i, 2] * (px - q[i, 0]))
+
+
+@jit
+def _corner_contacts(
+    model: Model,
+    q: F64,
+    v: F64,
+    wk: F64,
+    force: F64,
+    pair: F64,
+    mask: U8,
+    report: F64,
+    i: int,
+    j: int,
+    flip: bool,
+) -> None:
+    """Contacts of the corners of car ``i`` with car ``j``.
+
+    ``flip`` says that ``i`` is the second car of the pair row; corner meets corner is treated only
+    when it is not, so that it is done once.
+    """
+    par = model.par
+    d_b = par[L.C_BUFFER]
+    a_i = model.car[i, L.HALF_L]
+    b_i = model.car[i, L.HALF_W]
+    a_j = model.car[j, L.HALF_L]
+    b_j = model.car[j, L.HALF_W]
+    ci = wk[i, L.W_CT]
+    si = wk[i, L.W_ST]
+    cj = wk[j, L.W_CT]
+    sj = wk[j, L.W_ST]
+    for corner in range(4):
+        u = a_i if corner < 2 else -a_i
+        w = b_i if corner % 2 == 0 else -b_i
+        px = q[i, 0] + ci * u - si * w
+        py = q[i, 1] + si * u + ci * w
+        # the corner in the frame of body j
+        rx = px - q[j, 0]
+        ry = py - q[j, 1]
+        ju = cj * rx + sj * ry
+        jw = -sj * rx + cj * ry
+        if abs(ju) >= a_j + d_b or abs(jw) >= b_j + d_b:
+            continue
+        out = outside_mask(ju, jw, a_j, b_j)
+        wall = out
+        fx = 0.0
+        fy = 0.0
+        gap = 0.0
+        nu = 0.0
+        nw = 0.0
+        other_corner = -1
+        if out == 0:
+            wall = nearest_wall(ju, jw, a_j, b_j, mask[4 + corner] if flip else mask[corner])
+        if wall == FRONT or wall == REAR:
+            nu = 1.0 if wall == FRONT else -1.0
+            gap = nu * ju - a_j
+        elif (wall & (FRONT | REAR)) == 0:
+            nw = 1.0 if wall == LEFT else -1.0
+            gap = nw * jw - b_j
+        else:
+            if flip:
+                continue
+            # both outside: corner of j that is nearest, if each lies in the other's corner region
+            su = 1.0 if wall & FRONT else -1.0
+            sw = 1.0 if wall & LEFT else -1.0
+            du = ju - su * a_j
+            dw = jw - sw * b_j
+            gap = math.sqrt(du * du + dw * dw)
+            if gap >= d_b or gap < 1e-12:
+                continue
+            qx = q[j, 0] + cj * su * a_j - sj * sw * b_j
+            qy = q[j, 1] + sj * su * a_j + cj * sw * b_j
+            ex = qx - q[i, 0]
+            ey = qy - q[i, 1]
+            iu = ci * ex + si * ey
+            iw = -si * ex + ci * ey
+            # beyond both walls of i, on the side of this very corner
+            if u * iu <= a_i * a_i or w * iw <= b_i * b_i:
+                continue
+            nu = du / gap
+            nw = dw / gap
+            other_corner = (0 if su > 0.0 else 2) + (0 if sw > 0.0 else 1)
+        if gap >= d_b:
+            continue
+        nx = cj * nu - sj * nw
+        ny = sj * nu + cj * nw
+        fpx = px - gap * nx
+        fpy = py - gap * ny
+        closing = _speed_along(v, q, j, fpx, fpy, nx, ny) - _speed_along(v, q, i, px, py, nx, ny)
+        f = gap_force(gap, par[L.C_FMAX], par[L.C_DC], d_b, int(par[L.C_LAW])) * speed_factor(
+            closing, par[L.C_C1], par[L.C_C2], par[L.C_C3]
+        )
+        if f <= 0.0:
+            continue
+        fx = f * nx
+        fy = f * ny
+        mi = _push(force, q, i, px, py, fx, fy)
+        mj = _push(force, q, j, fpx, fpy, -fx, -fy)
+        sign = -1.0 if flip else 1.0
+        pair[L.P_FX] += sign * fx
+        pair[L.P_FY] += sign * fy
+        pair[L.P_POWER] += f * closing
+        if f > pair[L.P_FMAX]:
+            pair[L.P_FMAX] = f
+            pair[L.P_CORNER] = corner + (4 if flip else 0)
+            pair[L.P_X] = px
+            pair[L.P_Y] = py
+            pair[L.P_NX] = sign * nx
+            pair[L.P_NY] = sign * ny
+            pair[L.P_CLOSING] = closing
+        if report.shape[0]:
+            report[i, A.R_COLLISION] += fx
+            report[i, A.R_COLLISION + 1] += fy
+            report[i, A.R_COLLISION + 2] += mi
+            report[j, A.R_COLLISION] -= fx
+            report[j, A.R_COLLISION + 1] -= fy
+            report[j, A.R_COLLISION + 2] += mj
+            _note_corner(report, i, corner, f, gap, closing, j)
+            if other_corner >= 0:
+                _note_corner(report, j, other_corner, f, gap, closing, i)
+
+
+@jit
+def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
+    """Contact forces between all neighbouring pairs; per-pair sums go into ``state.pair``."""
+    wk = work.wk
+    d_b = model.par[L.C_BUFFER]
+    power = 0.0
+    for p in range(state.cnt[L.N_PAIRS]):
+        i = state.pairs[p, 0]
+        j = state.pairs[p, 1]
+        row = state.pair[p]
+        for k in range(L.P_POWER + 1):
+            row[k] = 0.0
+        row[L.P_NEAR] = 0.0
+        ci = wk[i, L.W_CT]
+        si = wk[i, L.W_ST]
+        cj = wk[j, L.W_CT]
+        sj = wk[j, L.W_ST]
+        dx = q[i, 0] - q[j, 0]
+        dy = q[i, 1] - q[j, 1]
+        # separating axes along both bodies: extents of one in the frame of the other
+        c = abs(ci * cj + si * sj)
+        s = abs(si * cj - ci * sj)
+        a_i = model.car[i, L.HALF_L]
+        b_i = model.car[i, L.HALF_W]
+        a_j = model.car[j, L.HALF_L]
+        b_j = model.car[j, L.HALF_W]
+        if abs(cj * dx + sj * dy) > a_j + d_b + a_i * c + b_i * s:
+            continue
+        if abs(-sj * dx + cj * dy) > b_j + d_b + a_i * s + b_i * c:
+            continue
+        if abs(ci * dx + si * dy) > a_i + d_b + a_j * c + b_j * s:
+            continue
+        if abs(-si * dx + ci * dy) > b_i + d_b + a_j * s + b_j * c:
+            continue
+        row[L.P_NEAR] = 1.0
+        mask = state.mask[p]
+        _corner_contacts(model, q, v, wk, work.force, row, mask, work.report, i, j, False)
+        _corner_contacts(model, q, v, wk, work.force, row, mask, work.report, j, i, True)
+        power += row[L.P_POWER]
+    work.power[L.E_COLLISION] = power
+
+
+@jit
+def generalized_forces(
+    model: Model,
+    state: State,
+    work: Work,
+    t: float,
+    truck_on: U8,
+    coupled: U8,
+    q: F64,
+    v: F64,
+) -> None:
+    """All applied forces at ``(t, q, v)`` into ``work.force``, their powers into ``work.power``.
+
+    Switched forces (initiating forces, instant brakes) are those on at ``state.clock[T_ON]``.
+    """
+    par = model.par
+    n = q.shape[0]
+    force = work.force
+    wk = work.wk
+    report = work.report
+    t_on = state.clock[L.T_ON]
+    angles(q, wk)
+    p_brake = 0.0
+    p_truck = 0.0
+    p_body = 0.0
+    p_damper = 0.0
+    p_external = 0.0
+    eps = par[L.G_EPS]
+    if report.shape[0]:
+        report[:] = 0.0
+
+    for i in range(n):
+        c = model.car[i]
+        theta = q[i, 2]
+        omega = v[i, 2]
+
+        # strikers
+        x = c[L.ARM_F] * (q[i, 3] - theta)
+        xd = c[L.ARM_F] * (v[i, 3] - omega)
+        f_front = spring_force(x, c[L.OPEN_F], c[L.K1_F], c[L.K2_F]) + c[L.DAMP_F] * xd
+        p_damper += c[L.DAMP_F] * xd * xd
+        x = c[L.ARM_R] * (q[i, 4] - theta)
+        xd = c[L.ARM_R] * (v[i, 4] - omega)
+        f_rear = spring_force(x, c[L.OPEN_R], c[L.K1_R], c[L.K2_R]) + c[L.DAMP_R] * xd
+        p_damper += c[L.DAMP_R] * xd * xd
+        fx = 0.0
+        fy = 0.0
+        moment = c[L.ARM_F] * f_front + c[L.ARM_R] * f_rear
+        force[i, 3] = -c[L.ARM_F] * f_front
+        force[i, 4] = -c[L.ARM_R] * f_rear
+        if report.shape[0]:
+            report[i, A.R_STRIKER] = f_front
+            report[i, A.R_STRIKER + 1] = f_rear
+
+        # brakes, at the mass centre, against its velocity
+        trucks = int(truck_on[i, 0]) + int(truck_on[i, 1])
+        vx = v[i, 0]
+        vy = v[i, 1]
+        if trucks > 0:
+            speed = math.sqrt(vx * vx + vy * vy)
+            f = brake_force(model, state.arrival, i, t, t_on, speed) * (0.5 * trucks)
+            if f != 0.0:
+                g = f * smooth_direction(speed, eps)
+                fx -= g * vx
+                fy -= g * vy
+                p_brake += g * speed * speed
+            if report.shape[0]:
+                report[i, A.R_BRAKE] = f * speed * smooth_direction(speed, eps)
+
+        # ground
+        if trucks < 2:
+            ct = wk[i, L.W_CT]
+            st = wk[i, L.W_ST]
+            free = (i == 0 or coupled[i - 1] == 0) and (i == n - 1 or coupled[i] == 0)
+            weight = par[L.G_SCALE] * c[L.MASS] * par[L.GRAVITY]
+            points = BODY_POINTS if free else 2
+            gx = 0.0
+            gy = 0.0
+            gm = 0.0
+            power = 0.0
+            for k in range(points):
+                if free:
+                    r = c[L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
+                else:
+                    if truck_on[i, k]:
+                        continue
+                    r = c[L.DT] if k == 0 else -c[L.DT]
+                ux = vx - omega * r * st
+                uy = vy + omega * r * ct
+                speed = math.sqrt(ux * ux + uy * uy)
+                g = drag(speed, par[L.G_CS], par[L.G_CD], eps, par[L.G_CV]) * (weight / points)
+                px = -g * ux
+                py = -g * uy
+                gx += px
+                gy += py
+                gm += r * (ct * py - st * px)
+                power += g * speed * speed
+                if report.shape[0] and not free:
+                    report[i, A.R_TRUCK + 2 * k] = px
+                    report[i, A.R_TRUCK + 2 * k + 1] = py
+            fx += gx
+            fy += gy
+            moment += gm
+            if free:
+                p_body += power
+            else:
+                p_truck += power
+            if report.shape[0]:
+                report[i, A.R_GROUND_MOMENT] = gm
+                if free:
+                    report[i, A.R_BODY] = gx
+                    report[i, A.R_BODY + 1] = gy
+        force[i, 0] = fx
+        force[i, 1] = fy
+        force[i, 2] = moment
+
+    # knuckles
+    for i in range(n - 1):
+        if coupled[i]:
+            k = model.knuckle[i]
+            m = knuckle_moment(
+                q[i, 4] - q[i + 1, 3], k[L.KN_0], k[L.KN_1], k[L.KN_2], k[L.KN_ROOT]
+            )
+            force[i, 4] += m
+            force[i + 1, 3] -= m
+            if report.shape[0]:
+                report[i, A.R_KNUCKLE] = m
+
+    # forces that start the motion
+    for k in range(model.lateral.shape[0]):
+        if model.lateral[k, L.LF_T0] <= t_on < model.lateral[k, L.LF_T1]:
+            i = int(model.lateral[k, L.LF_CAR])
+            r = model.lateral[k, L.LF_OFFSET]
+            ex = model.lateral[k, L.LF_X]
+            ey = model.lateral[k, L.LF_Y]
+            rx = r * wk[i, L.W_CT]
+            ry = r * wk[i, L.W_ST]
+            force[i, 0] += ex
+            force[i, 1] += ey
+            force[i, 2] += rx * ey - ry * ex
+            p_external += ex * (v[i, 0] - v[i, 2] * ry) + ey * (v[i, 1] + v[i, 2] * rx)
+            if report.shape[0]:
+                report[i, A.R_EXTERNAL] += ex
+                report[i, A.R_EXTERNAL + 1] += ey
+
+    collisions(model, state, work, q, v)
+    work.power[L.E_BRAKE] = p_brake
+    work.power[L.E_GROUND_TRUCK] = p_truck
+    work.power[L.E_GROUND_BODY] = p_body
+    work.power[L.E_DAMPER] = p_damper
+    work.power[L.E_EXTERNAL] = p_external

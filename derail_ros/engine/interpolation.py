@@ -1,0 +1,80 @@
+"""The state between the ends of a step.
+
+Coordinates by quintic Hermite interpolation on (q, v, a) at both ends: sixth order in the step, with
+velocity and acceleration its derivatives. Work entries of the ledger by cubic Hermite interpolation
+on their powers. Forces are evaluated at the interpolated state with the constraints of that step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.jit import jit
+from derail_ros.engine.stepper import accelerations
+
+F64 = NDArray[np.float64]
+
+
+@jit
+def hermite(
+    x: float, h: float, q0: float, v0: float, a0: float, q1: float, v1: float, a1: float
+) -> tuple[float, float, float]:
+    """Quintic with the given values, slopes and curvatures at both ends of a step ``h``.
+
+    ``x`` in [0, 1]. Returns value, first and second derivative.
+    """
+    # q0 + h v0 x + h^2 a0 x^2 / 2 + c3 x^3 + c4 x^4 + c5 x^5
+    d = q1 - q0 - h * v0 - 0.5 * h * h * a0
+    e = h * (v1 - v0) - h * h * a0
+    f = h * h * (a1 - a0)
+    c3 = 10.0 * d - 4.0 * e + 0.5 * f
+    c4 = -15.0 * d + 7.0 * e - f
+    c5 = 6.0 * d - 3.0 * e + 0.5 * f
+    q = q0 + x * (h * v0 + x * (0.5 * h * h * a0 + x * (c3 + x * (c4 + x * c5))))
+    v = v0 + x * (h * a0 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)) / h)
+    a = a0 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)) / (h * h)
+    return q, v, a
+
+
+@jit
+def interpolate(state: State, t: float, q: F64, v: F64, a: F64) -> None:
+    """Coordinates, velocities and accelerations at ``t`` within the last step."""
+    t0 = state.clock[L.T_PREV]
+    h = state.clock[L.T] - t0
+    x = (t - t0) / h
+    for i in range(q.shape[0]):
+        for k in range(5):
+            q[i, k], v[i, k], a[i, k] = hermite(
+                x, h, state.q0[i, k], state.v0[i, k], state.a0[i, k], state.q[i, k],
+                state.v[i, k], state.a1[i, k],
+            )  # fmt: skip
+
+
+@jit
+def interpolate_energy(state: State, t: float, out: F64) -> None:
+    """Work entries of the ledger at ``t`` within the last step, J."""
+    t0 = state.clock[L.T_PREV]
+    h = state.clock[L.T] - t0
+    x = (t - t0) / h
+    y = 1.0 - x
+    for k in range(L.N_ENERGY):
+        if k < L.N_POWER:
+            out[k] = (
+                state.energy0[k] * (1.0 + 2.0 * x) * y * y
+                + h * state.power0[k] * x * y * y
+                + state.energy[k] * x * x * (3.0 - 2.0 * x)
+                - h * state.power1[k] * x * x * y
+            )
+        else:
+            out[k] = state.energy0[k]
+
+
+@jit
+def forces_at(model: Model, state: State, work: Work, t: float) -> bool:
+    """Forces and multipliers of ``state`` at its q and v into ``work``; for reports only."""
+    return accelerations(
+        model, state, work, t, state.truck_on, state.coupled, state.q, state.v, work.dx, False
+    )

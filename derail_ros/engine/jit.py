@@ -1,0 +1,75 @@
+"""Compilation of the kernels, with a cache that cannot serve stale physics.
+
+numba decides by the file of a *caller* whether its cached machine code is fresh: a cached kernel
+would go on using the old version of a law that lives in another file. Here the cache folder's name
+holds a hash of every source file of the engine, the versions of numba and llvmlite, and the
+features of the processor, so that any edit starts a new cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import llvmlite.binding
+import numba
+from numba import config as numba_config
+
+
+def source_hash() -> str:
+    """Hash of the engine's sources, the compiler's versions and the processor (16 hex digits)."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    for part in (
+        numba.__version__,
+        llvmlite.__version__,
+        sys.implementation.cache_tag,
+        llvmlite.binding.get_host_cpu_name(),
+        llvmlite.binding.get_host_cpu_features().flatten(),
+    ):
+        digest.update(str(part).encode() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def cache_root() -> Path:
+    """Folder that holds the caches: ``DERAIL_CACHE_DIR``, or the user's cache folder."""
+    explicit = os.environ.get("DERAIL_CACHE_DIR")
+    if explicit:
+        return Path(explicit)
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(base) / "derail_ros"
+
+
+def _writable(folder: Path) -> Path:
+    """The folder, made; a private temporary one where it cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:
+        return Path(tempfile.gettempdir()) / f"derail_ros-{os.getuid()}" / folder.name
+
+
+CACHE_DIR = _writable(cache_root() / f"kernels-{source_hash()}")
+"""Folder of this version's compiled kernels."""
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Compile a kernel: no Python objects, no fast math, GIL released, cached on disk."""
+    # numba reads the folder when the decorator runs, so the setting is changed only for that
+    # long: a user's own numba functions keep their own cache.
+    previous = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(CACHE_DIR)
+    try:
+        return numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function)
+    finally:
+        numba_config.CACHE_DIR = previous

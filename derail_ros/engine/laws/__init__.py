@@ -1,0 +1,1 @@
+"""Force laws, one file each: small functions of states and parameters."""

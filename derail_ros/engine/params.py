@@ -1,0 +1,320 @@
+"""Parameters of a run: frozen objects, SI units, validated when the run is built.
+
+Defaults marked [R] are reconstructed: the surviving copy of the source (E. E. Toma, *A Computer
+Model of a Derailment*, PhD thesis, Queen's University, 1998) lost or never gave them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+GRAVITY = 9.81
+"""Acceleration of gravity, m/s^2."""
+
+
+@dataclass(frozen=True)
+class CouplerType:
+    """A coupler, its striker and its draft gear (source, coupler table).
+
+    Attributes
+    ----------
+    name : e.g. "F79"
+    head : "E" or "F"; decides the knuckle moment of a mated pair
+    length : pivot to mated face ``d_C``, m
+    striker_arm : pivot to striker contact ``d_st``, m
+    striker_opening : striker opening ``d_so``, m
+    k1 : stiffness up to the opening, N/m
+    k2 : stiffness beyond the opening, N/m [R]
+    damping : damper in parallel, N s/m
+    """
+
+    name: str
+    head: str
+    length: float
+    striker_arm: float
+    striker_opening: float
+    k1: float
+    k2: float = 50.0e6
+    damping: float = 4000.0
+
+
+@dataclass(frozen=True)
+class BrakeUnit:
+    """The brake of one real car, carried by a modelled car or by the virtual body.
+
+    Attributes
+    ----------
+    distance : arc length from the centre of car 1 back along the train, m
+    shoe : "composition", "cast_iron" or "none"
+    scale : size factor ``K_b``, 1
+    delay : delay of this car's own brake after the signal reaches it, s
+    weight : mass the traction limited mode counts for this unit, kg
+    """
+
+    distance: float
+    shoe: str = "composition"
+    scale: float = 1.0
+    delay: float = 0.0
+    weight: float = 0.0
+
+
+@dataclass(frozen=True)
+class Car:
+    """One body of the train.
+
+    Attributes
+    ----------
+    mass : total mass m, kg
+    inertia : yaw inertia about the mass centre (coupler masses included), kg m^2
+    length, width : collision rectangle L x w, m
+    pivot_distance : centre to coupler pivot ``d_P``, m
+    truck_distance : centre to truck pivot ``d_T``, m
+    front, rear : couplers
+    coupler_inertia : inertia of each coupler body ``I_c``, kg m^2
+    brakes : brake units of this body (one; the virtual body has one for each car it stands for)
+    represents : number of real cars this body stands for; more than 1 makes it virtual:
+        it never derails and never collides
+    name : label, e.g. the type of the car
+    contents : what it carries
+    """
+
+    mass: float
+    inertia: float
+    length: float
+    width: float
+    pivot_distance: float
+    truck_distance: float
+    front: CouplerType
+    rear: CouplerType
+    coupler_inertia: float = 20_000.0
+    brakes: tuple[BrakeUnit, ...] = ()
+    represents: int = 1
+    name: str = ""
+    contents: str = ""
+
+
+@dataclass(frozen=True)
+class TrackSegment:
+    """A piece of alignment whose curvature changes linearly with arc length (a clothoid).
+
+    Attributes
+    ----------
+    length : arc length, m
+    curvature_start, curvature_end : 1/m, positive to the left; equal on a tangent (0) or a
+        circular curve (1/R)
+    """
+
+    length: float
+    curvature_start: float = 0.0
+    curvature_end: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrackParams:
+    """The centre line.
+
+    Attributes
+    ----------
+    segments : alignment in order of rising track coordinate. Empty: an endless straight along
+        +X with track coordinate X
+    start_coordinate : track coordinate of the beginning of the first segment, m
+    start_x, start_y, start_heading : its place (m) and direction (rad)
+    rail_breaks : track coordinates of the breaks present at the start, m
+    """
+
+    segments: tuple[TrackSegment, ...] = ()
+    start_coordinate: float = 0.0
+    start_x: float = 0.0
+    start_y: float = 0.0
+    start_heading: float = 0.0
+    rail_breaks: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class LateralForce:
+    """A force that starts the motion.
+
+    It keeps its direction in space: the left normal of the track where the truck stands at the
+    start (global +Y on the straight [R]).
+
+    Attributes
+    ----------
+    force : N, positive to the left
+    car : car number, from 1
+    place : "front" (front truck), "rear" (rear truck) or "centre"
+    start, duration : s
+    """
+
+    force: float = 50_000.0
+    car: int = 1
+    place: str = "front"
+    start: float = 0.0
+    duration: float = 1.0
+
+
+@dataclass(frozen=True)
+class InitiationParams:
+    """How the run starts.
+
+    Attributes
+    ----------
+    speed : speed of the train along the track, m/s
+    position : track coordinate of the mass centre of car 1, m
+    derailed_trucks : ``(car number, "front" | "rear")`` derailed from the start
+    parted_couplings : ``i`` for the coupling between cars i and i + 1, parted from the start
+    lateral_forces : forces that start the motion
+    """
+
+    speed: float
+    position: float = 0.0
+    derailed_trucks: tuple[tuple[int, str], ...] = ((1, "front"), (1, "rear"))
+    parted_couplings: tuple[int, ...] = ()
+    lateral_forces: tuple[LateralForce, ...] = (LateralForce(),)
+
+
+@dataclass(frozen=True)
+class BrakeTrigger:
+    """An emergency application.
+
+    Attributes
+    ----------
+    time : when it is made, s
+    source : "front", "rear", "both_ends" or "car"
+    car : car number, for source "car"
+    mode : "conventional", "instant" (no propagation, no rise), "traction_limited", or
+        "instant_traction_limited"
+    delay : overall delay, s
+    """
+
+    time: float = 0.0
+    source: str = "front"
+    car: int = 0
+    mode: str = "conventional"
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class BrakeParams:
+    """Constants of the brake law.
+
+    Attributes
+    ----------
+    force : full-service emergency force ``F0`` of a car at rest with ``K_b = 1``, N [R]
+    rise_time : time from zero to full force, s
+    signal_speed : propagation of the emergency signal, m/s
+    traction_coefficient : ``mu_t`` of the traction limited mode
+    vent_on_parting : a parted coupling starts the emergency from there, both ways
+    triggers : applications present from the start
+    """
+
+    force: float = 62_000.0
+    rise_time: float = 10.0
+    signal_speed: float = 290.0
+    traction_coefficient: float = 0.3
+    vent_on_parting: bool = False
+    triggers: tuple[BrakeTrigger, ...] = (BrakeTrigger(),)
+
+
+@dataclass(frozen=True)
+class GroundParams:
+    """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` (all [R] but the form)."""
+
+    c_s: float = 0.8
+    c_d: float = 0.7
+    eps: float = 0.01
+    c_v: float = 0.03
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class ContactParams:
+    """Collision law (all but the buffer and the asymmetry reconstructed [R]).
+
+    Attributes
+    ----------
+    force_max : ``F_max``, N
+    half_distance : ``d_c`` at which the force is half of ``F_max``, m
+    buffer : ``d_b`` beyond which there is none, m
+    c1, c2, c3 : speed factor ``c1 v|v| + c2 v + c3``
+    begin_force, end_force, end_hold : a contact is an event from ``begin_force`` (N) until it
+        has been below ``end_force`` (N) for ``end_hold`` (s)
+    """
+
+    force_max: float = 3.0e6
+    half_distance: float = 0.08
+    buffer: float = 0.8
+    c1: float = 0.025
+    c2: float = 0.1
+    c3: float = 1.0
+    gap_law: str = "gaussian"
+    begin_force: float = 10_000.0
+    end_force: float = 5_000.0
+    end_hold: float = 0.020
+
+
+@dataclass(frozen=True)
+class DerailmentParams:
+    """When constraints are removed.
+
+    Attributes
+    ----------
+    lv_limit : derailment quotient: a truck leaves the rails when ``|lambda| > LV m g / 2``
+    break_follows_lateral : a lateral derailment also breaks the rail there (rail roll-over) [R]
+    break_ahead_of_truck : distance ahead of the front truck at which a break opens "under" a car, m
+    knuckle_limit_ee, knuckle_limit_ff, knuckle_limit_ef : coupling angle limits, rad
+    """
+
+    lv_limit: float = 2.0
+    break_follows_lateral: bool = False
+    break_ahead_of_truck: float = 0.5
+    knuckle_limit_ee: float = 0.90
+    knuckle_limit_ff: float = 0.71
+    knuckle_limit_ef: float = 0.80
+
+
+@dataclass(frozen=True)
+class IntegrationParams:
+    """How the run is integrated.
+
+    Attributes
+    ----------
+    method : "rkf45" (the reference) or another name of ``derail_ros.engine.METHODS``
+    rtol : relative error allowed per step
+    stabilization : "projection" or "baumgarte"
+    baumgarte_velocity, baumgarte_position : ``a`` (1/s) and ``b`` (1/s^2) [R]
+    locate_crossings : find break crossings and coupling failures inside the step; False gives
+        the source's form, tested only at the ends of steps
+    buffer_fraction : no corner moves further than this share of the buffer in one step
+    max_step, min_step : s
+    rest_speed, rest_yaw_rate, rest_hold : the run ends when all cars have been slower than this
+        (m/s, rad/s) for that long (s) [R]
+    time_limit : end of the run at the latest, s
+    """
+
+    method: str = "rkf45"
+    rtol: float = 1e-5
+    stabilization: str = "projection"
+    baumgarte_velocity: float = 30.0
+    baumgarte_position: float = 50.0
+    locate_crossings: bool = True
+    buffer_fraction: float = 0.2
+    max_step: float = 0.05
+    min_step: float = 1e-9
+    rest_speed: float = 0.05
+    rest_yaw_rate: float = 0.01
+    rest_hold: float = 0.5
+    time_limit: float = 120.0
+
+
+@dataclass(frozen=True)
+class TrainParams:
+    """Everything a run is built from."""
+
+    cars: tuple[Car, ...]
+    initiation: InitiationParams
+    track: TrackParams = field(default_factory=TrackParams)
+    brakes: BrakeParams = field(default_factory=BrakeParams)
+    ground: GroundParams = field(default_factory=GroundParams)
+    contact: ContactParams = field(default_factory=ContactParams)
+    derailment: DerailmentParams = field(default_factory=DerailmentParams)
+    integration: IntegrationParams = field(default_factory=IntegrationParams)

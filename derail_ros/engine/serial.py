@@ -1,0 +1,99 @@
+"""States as bytes: a JSON header and raw little-endian arrays, nothing executable."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+import types
+import typing
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine.errors import StateFormatError
+
+MAGIC = b"derail-state\0"
+VERSION = 1
+
+
+def to_plain(value: Any) -> Any:
+    """Dataclasses and tuples as dictionaries and lists, for JSON."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, (tuple, list)):
+        return [to_plain(v) for v in value]
+    if isinstance(value, dict):
+        return {str(k): to_plain(v) for k, v in value.items()}
+    if isinstance(value, (np.integer, np.floating)):
+        return value.item()
+    if isinstance(value, int) and not isinstance(value, bool):
+        return int(value)
+    return value
+
+
+def from_plain(kind: Any, value: Any) -> Any:
+    """The inverse of `to_plain` for an annotated type."""
+    origin = typing.get_origin(kind)
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        hints = typing.get_type_hints(kind)
+        names = {f.name for f in dataclasses.fields(kind)}
+        if not isinstance(value, dict) or set(value) != names:
+            raise StateFormatError(f"fields of {kind.__name__} do not match this version")
+        return kind(**{name: from_plain(hints[name], value[name]) for name in names})
+    if origin is tuple:
+        args = typing.get_args(kind)
+        if len(args) == 2 and args[1] is Ellipsis:
+            return tuple(from_plain(args[0], v) for v in value)
+        return tuple(from_plain(a, v) for a, v in zip(args, value, strict=True))
+    if origin in (typing.Union, types.UnionType):
+        return value
+    if origin is dict or kind is object:
+        return value
+    return kind(value) if isinstance(kind, type) else value
+
+
+def pack(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> bytes:
+    """Header and arrays as bytes; the same content gives the same bytes."""
+    table = []
+    parts = []
+    for name, array in arrays.items():
+        data = np.ascontiguousarray(array)
+        table.append([name, data.dtype.str, list(data.shape)])
+        parts.append(data.tobytes())
+    text = json.dumps(
+        {"version": VERSION, "header": header, "arrays": table}, sort_keys=True
+    ).encode()
+    return MAGIC + struct.pack("<Q", len(text)) + text + b"".join(parts)
+
+
+def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The inverse of `pack`; raises `StateFormatError` for anything else."""
+    if not isinstance(data, (bytes, bytearray)) or not data.startswith(MAGIC):
+        raise StateFormatError("these bytes are not a saved simulation state")
+    at = len(MAGIC)
+    try:
+        (length,) = struct.unpack_from("<Q", data, at)
+        at += 8
+        top = json.loads(bytes(data[at : at + length]))
+        version = top["version"]
+        if version != VERSION:
+            raise StateFormatError(f"state version {version}; this engine reads {VERSION}")
+        at += length
+        arrays = {}
+        for name, dtype, shape in top["arrays"]:
+            kind = np.dtype(dtype)
+            if kind.kind not in "fiu":
+                raise StateFormatError(f"array {name} has the type {dtype}")
+            count = int(np.prod(shape, dtype=np.int64))
+            array = np.frombuffer(data, dtype=kind, count=count, offset=at)
+            arrays[name] = array.reshape(shape).copy()
+            at += count * kind.itemsize
+    except StateFormatError:
+        raise
+    except (KeyError, ValueError, TypeError, struct.error) as error:
+        raise StateFormatError(f"the saved state is damaged ({error})") from error
+    if at != len(data):
+        raise StateFormatError("the saved state is damaged (bytes are left over)")
+    return top["header"], arrays

@@ -1,0 +1,757 @@
+"""Steps of a run: Runge-Kutta-Fehlberg 4(5), projection, removal of constraints, events.
+
+A step goes from one accepted state to the next. Within it the set of constraints and of switched
+forces is fixed; a truck's passing of a rail break and a coupling's reaching its limit angle are
+found inside the step, which is shortened to end there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.events import EventKind
+from derail_ros.engine.forces import (
+    angles,
+    coupler_energy,
+    generalized_forces,
+    kinetic_energy,
+)
+from derail_ros.engine.jit import jit
+from derail_ros.engine.neighbours import end_contact, list_is_stale, rebuild, track_contacts
+from derail_ros.engine.solver import (
+    acceleration_gamma,
+    constraint_error,
+    coupling_gap,
+    coupling_rate,
+    factor,
+    solve,
+    truck_rate,
+    truck_rows,
+)
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+TRUCK_DERAILED = int(EventKind.TRUCK_DERAILED)
+COUPLER_PARTED = int(EventKind.COUPLER_PARTED)
+RAIL_BREAK_SET = int(EventKind.RAIL_BREAK_SET)
+BRAKES_TRIGGERED = int(EventKind.BRAKES_TRIGGERED)
+BRAKE_SIGNAL_REACHED = int(EventKind.BRAKE_SIGNAL_REACHED)
+CAR_AT_REST = int(EventKind.CAR_AT_REST)
+RUN_ENDED = int(EventKind.RUN_ENDED)
+RUN_VOID = int(EventKind.RUN_VOID)
+
+# What `advance` stopped for.
+DONE, DRAIN, GROW_PAIRS, GROW_CONTACTS = 0, 1, 2, 3
+NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
+
+LOCATED = 1e-7
+"""A crossing is located to this, m (breaks) or rad (couplings)."""
+
+PROJECTED = 1e-10
+"""Constraint error at which the projection of positions stops, m."""
+
+# Fehlberg's 4(5) pair.
+RKF_C = (0.0, 1 / 4, 3 / 8, 12 / 13, 1.0, 1 / 2)
+RKF_A = np.array(
+    [
+        [0, 0, 0, 0, 0],
+        [1 / 4, 0, 0, 0, 0],
+        [3 / 32, 9 / 32, 0, 0, 0],
+        [1932 / 2197, -7200 / 2197, 7296 / 2197, 0, 0],
+        [439 / 216, -8, 3680 / 513, -845 / 4104, 0],
+        [-8 / 27, 2, -3544 / 2565, 1859 / 4104, -11 / 40],
+    ]
+)
+RKF_B = (16 / 135, 0.0, 6656 / 12825, 28561 / 56430, -9 / 50, 2 / 55)
+RKF_E = (1 / 360, 0.0, -128 / 4275, -2197 / 75240, 1 / 50, 2 / 55)
+
+
+@jit
+def accelerations(
+    model: Model,
+    state: State,
+    work: Work,
+    t: float,
+    truck_on: U8,
+    coupled: U8,
+    q: F64,
+    v: F64,
+    out: F64,
+    factored: bool,
+) -> bool:
+    """Accelerations at ``(t, q, v)`` into ``out``, multipliers and powers into ``work``.
+
+    ``factored`` says that truck rows and factors at ``q`` are in ``work`` already. Returns False
+    when the constraint equations are singular.
+    """
+    generalized_forces(model, state, work, t, truck_on, coupled, q, v)
+    ok = True
+    if not factored:
+        truck_rows(model, state, truck_on, q, work.wk)
+        ok = factor(model, truck_on, coupled, work.wk)
+    acceleration_gamma(model, truck_on, coupled, q, v, work.wk, work.gamma_t, work.gamma_c)
+    solve(
+        model,
+        truck_on,
+        coupled,
+        work.wk,
+        work.force,
+        work.gamma_t,
+        work.gamma_c,
+        out,
+        work.lam_t,
+        work.lam_c,
+    )
+    state.cnt[L.EVALS] += 1
+    return ok
+
+
+@jit
+def project_positions(
+    model: Model, state: State, work: Work, truck_on: U8, coupled: U8, q: F64
+) -> bool:
+    """Move ``q`` onto the constraints, as little as possible in the metric of the masses.
+
+    Newton's method; leaves angles, truck rows and factors at ``q`` in ``work``. Returns False when
+    it does not converge.
+    """
+    n = q.shape[0]
+    for _ in range(12):
+        angles(q, work.wk)
+        truck_rows(model, state, truck_on, q, work.wk)
+        if not factor(model, truck_on, coupled, work.wk):
+            return False
+        gap, offset = constraint_error(model, truck_on, coupled, q, work.wk)
+        # Beyond 1e5 m from the origin a double resolves no better than its own spacing.
+        if max(gap, offset) <= PROJECTED + 1e-15 * abs(q[0, 0]):
+            return True
+        for i in range(n):
+            for k in range(2):
+                if truck_on[i, k]:
+                    work.gamma_t[i, k] = -work.wk[i, L.W_OFF + k]
+            if i < n - 1 and coupled[i]:
+                gx, gy = coupling_gap(model, q, work.wk, i)
+                work.gamma_c[i, 0] = -gx
+                work.gamma_c[i, 1] = -gy
+        work.force[:] = 0.0
+        solve(
+            model, truck_on, coupled, work.wk, work.force, work.gamma_t, work.gamma_c,
+            work.dx, work.lam_t, work.lam_c,
+        )  # fmt: skip
+        for i in range(n):
+            for k in range(5):
+                q[i, k] += work.dx[i, k]
+    return False
+
+
+@jit
+def project_velocities(model: Model, work: Work, truck_on: U8, coupled: U8, v: F64) -> None:
+    """Move ``v`` onto the tangent of the constraints; uses the factors in ``work``."""
+    n = v.shape[0]
+    for i in range(n):
+        for k in range(2):
+            if truck_on[i, k]:
+                work.gamma_t[i, k] = -truck_rate(v, work.wk, i, k)
+        if i < n - 1 and coupled[i]:
+            gx, gy = coupling_rate(model, v, work.wk, i)
+            work.gamma_c[i, 0] = -gx
+            work.gamma_c[i, 1] = -gy
+    work.force[:] = 0.0
+    solve(
+        model, truck_on, coupled, work.wk, work.force, work.gamma_t, work.gamma_c,
+        work.dx, work.lam_t, work.lam_c,
+    )  # fmt: skip
+    for i in range(n):
+        for k in range(5):
+            v[i, k] += work.dx[i, k]
+
+
+@jit
+def rkf45_step(model: Model, state: State, work: Work, h: float) -> float:
+    """One Fehlberg step of size ``h`` from the accepted state into ``work.stage_q/v``.
+
+    Returns the error in units of the tolerance (fifth less fourth order, largest component): the
+    scale is ``rtol`` (1 m, 1 rad) for coordinates and ``rtol (1 + |v|)`` for velocities, so it
+    does not depend on where along the track the train is.
+    """
+    n = state.q.shape[0]
+    q1 = work.stage_q
+    v1 = work.stage_v
+    work.kq[0] = state.v
+    work.kv[0] = state.a
+    work.kp[0] = state.power
+    t = state.clock[L.T]
+    for s in range(1, 6):
+        for i in range(n):
+            for k in range(5):
+                dq = 0.0
+                dv = 0.0
+                for r in range(s):
+                    dq += RKF_A[s, r] * work.kq[r, i, k]
+                    dv += RKF_A[s, r] * work.kv[r, i, k]
+                q1[i, k] = state.q[i, k] + h * dq
+                v1[i, k] = state.v[i, k] + h * dv
+        ok = accelerations(
+            model, state, work, t + RKF_C[s] * h, state.truck_on, state.coupled, q1, v1,
+            work.kv[s], False,
+        )  # fmt: skip
+        if not ok:
+            return math.inf
+        work.kq[s] = v1
+        work.kp[s] = work.power
+    error = 0.0
+    rtol = model.par[L.RTOL]
+    for i in range(n):
+        for k in range(5):
+            dq = 0.0
+            dv = 0.0
+            eq = 0.0
+            ev = 0.0
+            for s in range(6):
+                dq += RKF_B[s] * work.kq[s, i, k]
+                dv += RKF_B[s] * work.kv[s, i, k]
+                eq += RKF_E[s] * work.kq[s, i, k]
+                ev += RKF_E[s] * work.kv[s, i, k]
+            q1[i, k] = state.q[i, k] + h * dq
+            v1[i, k] = state.v[i, k] + h * dv
+            eq = abs(h * eq)
+            ev = abs(h * ev) / (1.0 + abs(state.v[i, k]))
+            # written so that a nan counts as an error
+            if not eq <= error * rtol:
+                error = eq / rtol
+            if not ev <= error * rtol:
+                error = ev / rtol
+    return error
+
+
+@jit
+def step_cap(model: Model, v: F64) -> float:
+    """Largest step in which no corner moves further than its share of the buffer, s."""
+    fastest = 1e-9
+    for i in range(v.shape[0]):
+        speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+        fastest = max(fastest, speed + abs(v[i, 2]) * model.car[i, L.RADIUS])
+    return min(model.par[L.H_MAX], model.par[L.STEP_SHARE] / fastest)
+
+
+@jit
+def next_switch(model: Model, state: State, t: float) -> float:
+    """Next moment after ``t`` at which a force jumps: initiating forces, instant brakes."""
+    soon = math.inf
+    for k in range(model.lateral.shape[0]):
+        for c in (L.LF_T0, L.LF_T1):
+            if t < model.lateral[k, c] < soon:
+                soon = model.lateral[k, c]
+    for u in range(state.arrival.shape[0]):
+        for c in (L.ARR_INST, L.ARR_INST_TL):
+            if t < state.arrival[u, c] < soon:
+                soon = state.arrival[u, c]
+    return soon
+
+
+@jit
+def _cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
+    """Where in (0, 1] the cubic with values g0 <= 0 < g1 and slopes d0, d1 crosses zero."""
+    lo = 0.0
+    hi = 1.0
+    for _ in range(60):
+        x = 0.5 * (lo + hi)
+        y = 1.0 - x
+        g = (
+            g0 * (1.0 + 2.0 * x) * y * y
+            + d0 * x * y * y
+            + g1 * x * x * (3.0 - 2.0 * x)
+            - d1 * x * x * y
+        )
+        if g > 0.0:
+            hi = x
+        else:
+            lo = x
+    return hi
+
+
+@jit
+def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
+    """Speed of a truck along the track, m/s (its normal in ``wk``, the car's cos and sin given)."""
+    base = L.W_TF if k == 0 else L.W_TR
+    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
+    return wk[i, base + 1] * (v[i, 0] - r * v[i, 2] * st) - wk[i, base] * (
+        v[i, 1] + r * v[i, 2] * ct
+    )
+
+
+@jit
+def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
+    """Share of the step at which the first break is passed or coupling limit reached.
+
+    The step's end is in ``work.stage_q/v`` with its truck rows in ``work.wk``. 1.0 without a
+    crossing, or when the first one is within ``LOCATED`` of the end already.
+    """
+    share = 1.0
+    wk = work.wk
+    for i in range(state.q.shape[0]):
+        for k in range(2):
+            if state.truck_on[i, k] == 0:
+                continue
+            s0 = work.truck_s[i, k]
+            s1 = state.truck_s[i, k]
+            for b in range(state.breaks.shape[0]):
+                sb = state.breaks[b]
+                sign = 1.0 if s1 > s0 else -1.0
+                g0 = sign * (s0 - sb)
+                g1 = sign * (s1 - sb)
+                if g0 > 0.0 or g1 <= LOCATED:
+                    continue
+                d0 = (
+                    sign
+                    * h
+                    * _truck_speed(
+                        model, wk, state.v, i, k, math.cos(state.q[i, 2]), math.sin(state.q[i, 2])
+                    )
+                )
+                d1 = (
+                    sign
+                    * h
+                    * _truck_speed(model, wk, work.stage_v, i, k, wk[i, L.W_CT], wk[i, L.W_ST])
+                )
+                share = min(share, _cubic_root(g0, d0, g1, d1))
+        if i < state.q.shape[0] - 1 and state.coupled[i]:
+            n0 = state.q[i, 4] - state.q[i + 1, 3]
+            n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
+            limit = model.knuckle[i, L.KN_LIMIT]
+            g0 = abs(n0) - limit
+            g1 = abs(n1) - limit
+            if g1 > LOCATED and g0 <= 0.0:
+                d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
+                d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
+                share = min(share, _cubic_root(g0, d0, g1, d1))
+    return share
+
+
+@jit
+def add_event(
+    state: State,
+    work: Work,
+    kind: int,
+    t: float,
+    car: int,
+    car2: int,
+    end: int,
+    cause: int,
+    x: float,
+    y: float,
+    s: float,
+    speed: float,
+    value: float,
+) -> None:
+    """Append a row to the event buffer, kept in the order of time."""
+    k = state.cnt[L.N_EVENTS]
+    while k > 0 and work.event[k - 1, L.V_TIME] > t:
+        work.event[k] = work.event[k - 1]
+        k -= 1
+    row = work.event[k]
+    row[L.V_KIND] = kind
+    row[L.V_TIME] = t
+    row[L.V_CAR] = car
+    row[L.V_CAR2] = car2
+    row[L.V_END] = end
+    row[L.V_CAUSE] = cause
+    row[L.V_X] = x
+    row[L.V_Y] = y
+    row[L.V_S] = s
+    row[L.V_SPEED] = speed
+    row[L.V_VALUE] = value
+    row[L.V_STEP] = state.cnt[L.STEP]
+    state.cnt[L.N_EVENTS] += 1
+
+
+@jit
+def derail_truck(
+    model: Model, state: State, work: Work, i: int, k: int, cause: int, value: float
+) -> None:
+    """Take a truck off the rails and say so."""
+    t = state.clock[L.T]
+    state.truck_on[i, k] = 0
+    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
+    speed = math.hypot(state.v[i, 0], state.v[i, 1])
+    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
+        state.peak[i, L.PK_DERAIL_T] = t
+        state.peak[i, L.PK_DERAIL_V] = speed
+    add_event(
+        state, work, TRUCK_DERAILED, t, i + 1, 0, k + 1, cause,
+        state.q[i, 0] + r * math.cos(state.q[i, 2]), state.q[i, 1] + r * math.sin(state.q[i, 2]),
+        state.truck_s[i, k], speed, value,
+    )  # fmt: skip
+
+
+@jit
+def apply_brakes(
+    model: Model, state: State, at: float, backward: bool, forward: bool, kind: int, t: float
+) -> None:
+    """Start an emergency at the arc length ``at`` (m behind car 1's centre) at the time ``t``.
+
+    The signal runs ``backward`` (to the rear) and / or ``forward``. A brake can only be raised:
+    each unit keeps its earliest arrival of each kind.
+    """
+    speed = model.par[L.BRAKE_SPEED]
+    for u in range(state.arrival.shape[0]):
+        d = model.unit[u, L.U_DIST] - at
+        if (d > 0.0 and not backward) or (d < 0.0 and not forward):
+            continue
+        arrival = t + model.unit[u, L.U_DELAY]
+        if kind == L.ARR_CONV or kind == L.ARR_TL:
+            arrival += abs(d) / speed
+        state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
+
+
+@jit
+def part_coupling(
+    model: Model, state: State, work: Work, i: int, cause: int, value: float
+) -> None:
+    """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
+    t = state.clock[L.T]
+    k = model.knuckle[i]
+    before = coupler_energy(model, state.coupled, state.q)
+    state.coupled[i] = 0
+    after = coupler_energy(model, state.coupled, state.q)
+    state.energy[L.E_KNUCKLE] += before[1] - after[1]
+    c = model.car[i]
+    ct = math.cos(state.q[i, 2])
+    st = math.sin(state.q[i, 2])
+    x = state.q[i, 0] - c[L.DP] * ct - c[L.DCR] * math.cos(state.q[i, 4])
+    y = state.q[i, 1] - c[L.DP] * st - c[L.DCR] * math.sin(state.q[i, 4])
+    speed = math.hypot(state.v[i, 0], state.v[i, 1])
+    add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
+    if model.par[L.VENT] != 0.0:
+        at = 0.5 * (
+            model.unit[model.unit_start[i], L.U_DIST]
+            + model.unit[model.unit_start[i + 1], L.U_DIST]
+        )
+        apply_brakes(model, state, at, True, True, L.ARR_CONV, t)
+        add_event(
+            state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, L.CAUSE_VENT, x, y, math.nan,
+            speed, at,
+        )  # fmt: skip
+
+
+@jit
+def remove_constraints(model: Model, state: State, work: Work) -> bool:
+    """Test the accepted state for derailments and parted couplings; True when any happened."""
+    changed = False
+    n = state.q.shape[0]
+    weight = 0.5 * model.par[L.GRAVITY]
+    for i in range(n):
+        virtual = model.car[i, L.VIRTUAL] != 0.0
+        for k in range(2):
+            if state.truck_on[i, k] == 0:
+                continue
+            s0 = work.truck_s[i, k]
+            s1 = state.truck_s[i, k]
+            passed = math.nan
+            for b in range(state.breaks.shape[0]):
+                sb = state.breaks[b]
+                # moving forward onto it, or backward
+                if (s1 > s0 and s0 <= sb <= s1 + LOCATED) or (
+                    s1 < s0 and s1 - LOCATED <= sb <= s0
+                ):
+                    passed = sb
+            if not math.isnan(passed):
+                if virtual:
+                    state.cnt[L.STATUS] = L.VOID
+                    add_event(
+                        state, work, RUN_VOID, state.clock[L.T], i + 1, 0, k + 1, L.CAUSE_BREAK,
+                        state.q[i, 0], state.q[i, 1], s1,
+                        math.hypot(state.v[i, 0], state.v[i, 1]), passed,
+                    )  # fmt: skip
+                    return changed
+                derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
+                changed = True
+                continue
+            if virtual:
+                continue
+            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i, L.MASS])
+            if quotient > model.par[L.LV_LIMIT]:
+                derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
+                changed = True
+                if model.par[L.BREAK_FOLLOWS] != 0.0:
+                    for b in range(state.breaks.shape[0]):
+                        if math.isinf(state.breaks[b]):
+                            state.breaks[b] = s1
+                            break
+                    add_event(
+                        state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
+                        L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
+                    )  # fmt: skip
+        if i < n - 1 and state.coupled[i]:
+            angle = abs(state.q[i, 4] - state.q[i + 1, 3])
+            if angle >= model.knuckle[i, L.KN_LIMIT] - LOCATED:
+                part_coupling(model, state, work, i, L.CAUSE_ANGLE, angle)
+                changed = True
+    return changed
+
+
+@jit
+def note_progress(model: Model, state: State, work: Work) -> None:
+    """Events of the brakes and of cars that come to rest, and the end of the run."""
+    t = state.clock[L.T]
+    par = model.par
+    for u in range(state.arrival.shape[0]):
+        if state.reached[u]:
+            continue
+        arrival = state.arrival[u, 0]
+        for k in range(1, 4):
+            arrival = min(arrival, state.arrival[u, k])
+        if arrival <= t:
+            state.reached[u] = 1
+            i = int(model.unit[u, L.U_BODY])
+            add_event(
+                state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u, L.U_NUMBER]), 0, 0,
+                L.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
+                math.hypot(state.v[i, 0], state.v[i, 1]), model.unit[u, L.U_DIST],
+            )  # fmt: skip
+    resting = True
+    for i in range(state.q.shape[0]):
+        speed = math.hypot(state.v[i, 0], state.v[i, 1])
+        rate = abs(state.v[i, 2])
+        if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
+            resting = False
+            if speed > 10.0 * par[L.REST_V] or rate > 10.0 * par[L.REST_W]:
+                state.peak[i, L.PK_RESTING] = 0.0
+        elif state.peak[i, L.PK_RESTING] == 0.0:
+            state.peak[i, L.PK_RESTING] = 1.0
+            add_event(
+                state, work, CAR_AT_REST, t, i + 1, 0, 0, L.CAUSE_NONE, state.q[i, 0],
+                state.q[i, 1], math.nan, speed, math.nan,
+            )  # fmt: skip
+    if not resting:
+        state.clock[L.REST_SINCE] = -1.0
+    elif state.clock[L.REST_SINCE] < 0.0:
+        state.clock[L.REST_SINCE] = t
+    elif t - state.clock[L.REST_SINCE] >= par[L.REST_HOLD] and state.cnt[L.STATUS] == L.RUNNING:
+        state.cnt[L.STATUS] = L.AT_REST
+        state.clock[L.DURATION] = state.clock[L.REST_SINCE]
+    if t >= par[L.T_LIMIT] and state.cnt[L.STATUS] == L.RUNNING:
+        state.cnt[L.STATUS] = L.TIME_LIMIT
+        state.clock[L.DURATION] = t
+    if state.cnt[L.STATUS] != L.RUNNING:
+        for p in range(state.cnt[L.N_PAIRS]):
+            if state.pair[p, L.P_ID] >= 0.0:
+                end_contact(state, p, t)
+        add_event(
+            state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[L.STATUS], math.nan, math.nan, math.nan,
+            math.nan, state.clock[L.DURATION],
+        )  # fmt: skip
+
+
+@jit
+def evaluate(model: Model, state: State, work: Work) -> bool:
+    """Accelerations, multipliers and powers of the state as it stands, into the state."""
+    state.clock[L.T_ON] = state.clock[L.T]
+    ok = accelerations(
+        model, state, work, state.clock[L.T], state.truck_on, state.coupled, state.q, state.v,
+        state.a, False,
+    )  # fmt: skip
+    state.power[:] = work.power
+    state.rail_force[:] = work.lam_t
+    state.coupler_force[:] = work.lam_c
+    return ok
+
+
+@jit
+def energy_residual(model: Model, state: State) -> float:
+    """Imbalance of the ledger, J: initial energy + put in - energy now - taken out."""
+    striker, knuckle = coupler_energy(model, state.coupled, state.q)
+    e = state.energy
+    return (
+        state.clock[L.E_INITIAL]
+        + e[L.E_EXTERNAL]
+        + e[L.E_STAB_NET]
+        - kinetic_energy(model, state.v)
+        - striker
+        - knuckle
+        - e[L.E_BRAKE]
+        - e[L.E_GROUND_TRUCK]
+        - e[L.E_GROUND_BODY]
+        - e[L.E_COLLISION]
+        - e[L.E_DAMPER]
+        - e[L.E_KNUCKLE]
+    )
+
+
+@jit
+def on_track(model: Model, state: State) -> bool:
+    """Every truck on the rails lies within the alignment."""
+    pieces = model.track.shape[0]
+    if pieces == 0:
+        return True
+    first = model.track[0, L.TR_S]
+    last = model.track[pieces - 1, L.TR_S] + model.track[pieces - 1, L.TR_LEN]
+    for i in range(state.q.shape[0]):
+        for k in range(2):
+            if state.truck_on[i, k] and not first <= state.truck_s[i, k] <= last:
+                return False
+    return True
+
+
+@jit
+def step(model: Model, state: State, work: Work) -> int:
+    """Take one accepted step. Returns DONE or one of the error codes."""
+    par = model.par
+    clock = state.clock
+    cnt = state.cnt
+    t = clock[L.T]
+    floor = par[L.H_MIN]
+    project = par[L.PROJECT] != 0.0
+    work.truck_s[:] = state.truck_s
+    clock[L.T_ON] = t
+    switch = next_switch(model, state, t)
+    cap = step_cap(model, state.v)
+    wanted = clock[L.H_NEXT]
+    h = wanted
+    limit = L.LIMIT_ACCURACY
+    if cap < h:
+        h = cap
+        limit = L.LIMIT_CAP
+        if h == par[L.H_MAX]:
+            limit = L.LIMIT_OTHER
+    # land on a switch exactly; a sliver before it is spread over two steps
+    if t + h >= switch:
+        h = switch - t
+        limit = L.LIMIT_OTHER
+    elif t + 2.0 * h > switch:
+        h = 0.5 * (switch - t)
+    rejected = False
+    grow = 1.0
+    e_before = 0.0
+    while True:
+        error = rkf45_step(model, state, work, h)
+        ok = math.isfinite(error)
+        grow = 0.2
+        if ok:
+            grow = min(4.0, max(0.2, 0.9 * (max(error, 1e-10)) ** -0.2))
+        if not ok or error > 1.0:
+            cnt[L.REJECTED] += 1
+            rejected = True
+            limit = L.LIMIT_ACCURACY
+            h *= min(grow, 0.9)
+            wanted = h
+            if h < floor:
+                return STEP_FLOOR if ok else NON_FINITE
+            continue
+        striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
+        e_before = kinetic_energy(model, work.stage_v) + striker + knuckle
+        if project:
+            if not project_positions(
+                model, state, work, state.truck_on, state.coupled, work.stage_q
+            ):
+                cnt[L.REJECTED] += 1
+                rejected = True
+                h *= 0.25
+                wanted = h
+                if h < floor:
+                    return SINGULAR
+                continue
+            project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
+        else:
+            angles(work.stage_q, work.wk)
+            truck_rows(model, state, state.truck_on, work.stage_q, work.wk)
+        if par[L.LOCATE] != 0.0:
+            share = first_crossing(model, state, work, h)
+            if share < 1.0:
+                if share * h >= floor:
+                    h *= share
+                    limit = L.LIMIT_OTHER
+                    switch = math.inf
+                    continue
+        break
+
+    # accepted
+    clock[L.T_PREV] = t
+    clock[L.T] = switch if t + h >= switch else t + h
+    state.q0[:] = state.q
+    state.v0[:] = state.v
+    state.a0[:] = state.a
+    state.truck_on0[:] = state.truck_on
+    state.coupled0[:] = state.coupled
+    state.energy0[:] = state.energy
+    state.power0[:] = state.power
+    state.q[:] = work.stage_q
+    state.v[:] = work.stage_v
+    for k in range(L.N_POWER):
+        total = 0.0
+        for s in range(6):
+            total += RKF_B[s] * work.kp[s, k]
+        state.energy[k] += h * total
+    striker, knuckle = coupler_energy(model, state.coupled, state.q)
+    moved = kinetic_energy(model, state.v) + striker + knuckle - e_before
+    state.energy[L.E_STAB_NET] += moved
+    state.energy[L.E_STAB_GROSS] += abs(moved)
+    cnt[L.STEP] += 1
+    cnt[limit] += 1
+
+    if not accelerations(
+        model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v, state.a1,
+        project,
+    ):  # fmt: skip
+        return SINGULAR
+    state.a[:] = state.a1
+    state.power[:] = work.power
+    state.power1[:] = work.power
+    state.rail_force[:] = work.lam_t
+    state.coupler_force[:] = work.lam_c
+    for i in range(state.q.shape[0]):
+        for k in range(5):
+            if not math.isfinite(state.a[i, k] + state.q[i, k] + state.v[i, k]):
+                return NON_FINITE
+    gap, offset = constraint_error(model, state.truck_on, state.coupled, state.q, work.wk)
+    clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
+    clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
+
+    track_contacts(model, state, clock[L.T], h)
+    changed = remove_constraints(model, state, work)
+    note_progress(model, state, work)
+    if changed or clock[L.T] == switch:
+        if not evaluate(model, state, work):
+            return SINGULAR
+    if clock[L.E_INITIAL] > 0.0:
+        clock[L.MAX_RESIDUAL] = max(
+            clock[L.MAX_RESIDUAL], abs(energy_residual(model, state)) / clock[L.E_INITIAL]
+        )
+    # The next size follows the error; a step cut short for other reasons does not shrink it.
+    if rejected:
+        grow = min(grow, 1.0)
+    proposal = h * grow
+    if limit != L.LIMIT_ACCURACY:
+        proposal = max(proposal, wanted)
+    clock[L.H_NEXT] = min(max(proposal, floor), par[L.H_MAX])
+    if not on_track(model, state):
+        return TRACK_END
+    return DONE
+
+
+@jit
+def advance(model: Model, state: State, work: Work, t_target: float, max_steps: int) -> int:
+    """Step until ``t_target`` is reached, ``max_steps`` are taken or the run ends."""
+    n = state.q.shape[0]
+    event_room = 6 * n + state.arrival.shape[0] + 8
+    taken = 0
+    while state.clock[L.T] < t_target and taken < max_steps and state.cnt[L.STATUS] == L.RUNNING:
+        if list_is_stale(model, state):
+            if not rebuild(model, state, work):
+                return GROW_PAIRS
+        if state.contact.shape[0] - state.cnt[L.N_CONTACTS] < state.cnt[L.N_PAIRS]:
+            return GROW_CONTACTS
+        if work.event.shape[0] - state.cnt[L.N_EVENTS] < event_room:
+            return DRAIN
+        code = step(model, state, work)
+        if code != DONE:
+            state.cnt[L.STATUS] = L.FAILED
+            return code
+        taken += 1
+    return DONE

@@ -1,0 +1,174 @@
+"""The centre line: tangents, spirals (clothoids) and circular curves.
+
+Every piece has a curvature that changes linearly with arc length,
+``kappa(u) = kappa0 + kappa' u``, so its heading is ``psi0 + kappa0 u + kappa' u^2 / 2`` and its
+place the integral of (cos, sin) of the heading. An empty alignment is an endless straight along +X
+whose track coordinate is X.
+
+A truck on the rails is a point whose signed distance d from the line (positive to the left) is
+zero. With n the unit normal at the foot point, t the tangent, and ``c = kappa / (1 - kappa d)``,
+
+    grad d = n,    d'' = n . A - c (t . V)^2
+
+so a row of the constraint Jacobian is n and its multiplier is the lateral force in newtons.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.errors import ParameterError
+from derail_ros.engine.jit import jit
+from derail_ros.engine.params import TrackParams
+
+F64 = NDArray[np.float64]
+
+_GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(8)
+GX = tuple(0.5 * (x + 1.0) for x in _GAUSS_X.tolist())
+GW = tuple(0.5 * w for w in _GAUSS_W.tolist())
+
+MAX_PIECE_TURN = 0.2
+"""Clothoids are cut into pieces that turn less than this (rad): 8 Gauss points are then exact to
+rounding."""
+
+
+@jit
+def heading_at(track: F64, k: int, u: float) -> float:
+    """Heading (rad) at the distance ``u`` (m) along piece ``k``."""
+    return track[k, L.TR_PSI] + (track[k, L.TR_K] + 0.5 * track[k, L.TR_DK] * u) * u
+
+
+@jit
+def point_at(track: F64, k: int, u: float) -> tuple[float, float]:
+    """Place (m) at the distance ``u`` (m) along piece ``k``."""
+    x0 = track[k, L.TR_X]
+    y0 = track[k, L.TR_Y]
+    psi = track[k, L.TR_PSI]
+    kappa = track[k, L.TR_K]
+    if track[k, L.TR_DK] == 0.0:
+        if kappa == 0.0:
+            return x0 + u * math.cos(psi), y0 + u * math.sin(psi)
+        # chord of the arc, free of cancellation at small angles
+        half = 0.5 * kappa * u
+        chord = 2.0 * math.sin(half) / kappa
+        return x0 + chord * math.cos(psi + half), y0 + chord * math.sin(psi + half)
+    sx = 0.0
+    sy = 0.0
+    for g in range(8):
+        h = heading_at(track, k, GX[g] * u)
+        sx += GW[g] * math.cos(h)
+        sy += GW[g] * math.sin(h)
+    return x0 + u * sx, y0 + u * sy
+
+
+@jit
+def piece_of(track: F64, s: float, hint: int) -> int:
+    """Index of the piece that holds the track coordinate ``s``, searched from ``hint``."""
+    k = min(max(hint, 0), track.shape[0] - 1)
+    while k > 0 and s < track[k, L.TR_S]:
+        k -= 1
+    while k < track.shape[0] - 1 and s >= track[k + 1, L.TR_S]:
+        k += 1
+    return k
+
+
+@jit
+def locate(track: F64, x: float, y: float, s: float) -> tuple[float, float, float, float, float]:
+    """Foot point of (x, y) on the line, by Newton's method from the coordinate ``s`` (m).
+
+    Returns ``(s, d, heading, kappa, residual)``: track coordinate, signed offset to the left (m),
+    heading and curvature at the foot point, and what is left of the foot-point equation (m). The
+    end pieces are continued beyond the ends.
+    """
+    if track.shape[0] == 0:
+        return x, y, 0.0, 0.0, 0.0
+    k = piece_of(track, s, 0)
+    e = 0.0
+    d = 0.0
+    h = 0.0
+    kappa = 0.0
+    for _ in range(30):
+        k = piece_of(track, s, k)
+        u = s - track[k, L.TR_S]
+        px, py = point_at(track, k, u)
+        h = heading_at(track, k, u)
+        kappa = track[k, L.TR_K] + track[k, L.TR_DK] * u
+        c = math.cos(h)
+        n = math.sin(h)
+        e = (x - px) * c + (y - py) * n
+        d = -(x - px) * n + (y - py) * c
+        if abs(e) < 1e-11:
+            break
+        s += e / max(1.0 - kappa * d, 0.1)
+    return s, d, h, kappa, e
+
+
+class Track:
+    """The alignment of a run, for queries from outside the kernels.
+
+    Attributes
+    ----------
+    pieces : (P, N_TR) pieces as the kernels take them
+    start, end : track coordinates of its ends, m (infinite for the endless straight)
+    """
+
+    def __init__(self, params: TrackParams) -> None:
+        rows: list[list[float]] = []
+        s, x, y, psi = (
+            params.start_coordinate,
+            params.start_x,
+            params.start_y,
+            params.start_heading,
+        )
+        for i, seg in enumerate(params.segments):
+            if not (math.isfinite(seg.length) and seg.length > 0.0):
+                raise ParameterError(f"track.segments.{i}.length", "must be above 0 m")
+            for name in ("curvature_start", "curvature_end"):
+                value = getattr(seg, name)
+                if not math.isfinite(value) or abs(value) > 0.1:
+                    raise ParameterError(
+                        f"track.segments.{i}.{name}", "must lie within 1/10 per metre (R >= 10 m)"
+                    )
+            slope = (seg.curvature_end - seg.curvature_start) / seg.length
+            turn = max(abs(seg.curvature_start), abs(seg.curvature_end)) * seg.length
+            parts = 1 if slope == 0.0 else max(1, math.ceil(turn / MAX_PIECE_TURN))
+            for j in range(parts):
+                length = seg.length / parts
+                kappa = seg.curvature_start + slope * length * j
+                row = [s, length, x, y, psi, kappa, slope]
+                one = np.array([row])
+                x, y = point_at(one, 0, length)
+                psi = heading_at(one, 0, length)
+                s += length
+                rows.append(row)
+        self.pieces: F64 = np.array(rows, dtype=np.float64).reshape(-1, L.N_TR)
+        self.start = params.start_coordinate if rows else -math.inf
+        self.end = s if rows else math.inf
+
+    def point(self, s: float) -> tuple[float, float, float, float]:
+        """Place, heading and curvature at the track coordinate ``s``: (x, y, heading, kappa)."""
+        if len(self.pieces) == 0:
+            return s, 0.0, 0.0, 0.0
+        k = piece_of(self.pieces, s, 0)
+        u = s - self.pieces[k, L.TR_S]
+        x, y = point_at(self.pieces, k, u)
+        kappa = self.pieces[k, L.TR_K] + self.pieces[k, L.TR_DK] * u
+        return float(x), float(y), float(heading_at(self.pieces, k, u)), float(kappa)
+
+    def locate(self, x: float, y: float, hint: float | None = None) -> tuple[float, float]:
+        """Track coordinate and offset to the left of a point (m).
+
+        Without a ``hint`` the nearest of a sampling of the line starts the search.
+        """
+        if len(self.pieces) == 0:
+            return x, y
+        if hint is None:
+            grid = np.linspace(self.start, self.end, max(2, int((self.end - self.start) / 5.0)))
+            points = np.array([self.point(float(s))[:2] for s in grid])
+            hint = float(grid[np.argmin(np.hypot(points[:, 0] - x, points[:, 1] - y))])
+        s, d, _, _, _ = locate(self.pieces, x, y, hint)
+        return float(s), float(d)
