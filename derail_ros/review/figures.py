@@ -117,7 +117,7 @@ def _final_scene(scene: Scene) -> Figure:
     _draw_track(axes, scene, window, points_per_metre)
     _draw_cars(axes, scene, window, points_per_metre)
     _draw_box(axes, scene, window)
-    _draw_scale(axes, scene, window)
+    _draw_scale(figure, height, window)
 
     figure.text(left, 1.0 - 0.3 / height, scene.title, size=14, weight="bold", va="center")
     figure.text(left, 1.0 - 0.56 / height, scene.subtitle, size=9.5, color="#555555", va="center")
@@ -160,8 +160,8 @@ def _pile_up(scene: Scene) -> Window:
         # The front half of the next car shows where the standing part begins.
         front = corners[last + 1, :2].mean(axis=0)
         centre = scene.pose[last + 1, :2]
-        low = np.minimum(low, np.minimum(front, centre))
-        high = np.maximum(high, np.maximum(front, centre))
+        low = np.minimum(low, np.minimum(front, centre) - 2.0)
+        high = np.maximum(high, np.maximum(front, centre) + 2.0)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
@@ -388,49 +388,29 @@ def _nice(value: float) -> float:
     return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1.0 + 1e-9))
 
 
-def _draw_scale(axes: Axes, scene: Scene, window: Window) -> None:
-    """Scale bar and direction of travel, in the emptiest corner."""
-    x0, x1, y0, y1 = window
-    bar = _nice(0.16 * (x1 - x0))
-    room_x, room_y = 0.24 * (x1 - x0), 0.2 * (y1 - y0)
-    points = np.concatenate([scene.corners().reshape(-1, 2), scene.pose[:, :2]])
-    best, fewest = (0, 0), math.inf
-    for right in (1, 0):
-        for up in (0, 1):
-            inside = ((points[:, 0] > x1 - room_x) if right else (points[:, 0] < x0 + room_x)) & (
-                (points[:, 1] > y1 - room_y) if up else (points[:, 1] < y0 + room_y)
-            )
-            if inside.sum() < fewest:
-                best, fewest = (right, up), int(inside.sum())
-    pad = 0.02 * (x1 - x0)
-    left = x1 - pad - bar if best[0] else x0 + pad
-    unit = (y1 - y0) / 100.0
-    level = y1 - 11.0 * unit if best[1] else y0 + 5.0 * unit
-    half = 0.5 * bar
-    for k in range(2):
+def _draw_scale(figure: Figure, height: float, window: Window) -> None:
+    """Scale bar and direction of travel, at the right of the title."""
+    per_metre = (WIDTH - 1.0) / (window[1] - window[0])
+    bar = _nice(1.7 / per_metre)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set_xlim(0.0, WIDTH)
+    axes.set_ylim(0.0, height)
+    left, level = WIDTH - 0.62 - bar * per_metre, height - 0.42
+    half = 0.5 * bar * per_metre
+    for k, fill in enumerate((INK, "white")):
         axes.add_patch(
-            Rectangle(
-                (left + k * half, level),
-                half,
-                1.1 * unit,
-                fc=INK if k == 0 else "white",
-                ec=INK,
-                lw=0.8,
-                zorder=11,
-            )
+            Rectangle((left + k * half, level), half, 0.07, fc=fill, ec=INK, lw=0.8, zorder=11)
         )
-    for k, text in enumerate(("0", f"{half:g}", f"{bar:g} m")):
-        axes.text(
-            left + k * half, level + 1.8 * unit, text, ha="center", va="bottom", size=8, zorder=11
-        )
+    for k, text in enumerate(("0", f"{0.5 * bar:g}", f"{bar:g} m")):
+        axes.text(left + k * half, level + 0.11, text, ha="center", va="bottom", size=8)
     axes.annotate(
         "direction of travel",
-        xy=(left + bar, level + 8.0 * unit),
-        xytext=(left, level + 8.0 * unit),
-        size=8,
+        xy=(left - 0.3, level + 0.035),
+        xytext=(left - 2.0, level + 0.035),
+        size=8.5,
         va="center",
         ha="left",
-        zorder=11,
         arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0, "shrinkA": 3, "shrinkB": 0},
     )
 

@@ -130,7 +130,7 @@ def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str
         coupler=sample.q[:, 3:5],
         outcome=simulation.outcome(),
         track=simulation.track,
-        breaks=simulation.track.breaks,
+        breaks=simulation.rail_breaks,
         title=title,
         subtitle=subtitle,
     )

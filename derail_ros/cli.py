@@ -1,0 +1,190 @@
+"""The command line, ``derail``.
+
+Only options are declared here; what a command does is in ``derail_ros.commands`` and imported
+when it runs, so that ``derail --help`` does not wait for numpy, numba or matplotlib.
+
+Exit codes: 0 done, 2 bad input, 3 the simulation failed, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="derail",
+    help="Simulate train derailments.",
+    no_args_is_help=False,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", min=1, help="Runs at a time; one per core by default."),
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the ensemble's variation.")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from derail_ros import __version__
+
+        print(f"derail_ros {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Simulate train derailments."""
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Change a value, e.g. train.speed_kmh=60."
+        ),
+    ] = None,
+    ensemble: Annotated[
+        int | None,
+        typer.Option(
+            "--ensemble",
+            "-n",
+            min=1,
+            help="Runs with the lateral force varied by up to 4 %; the first is the scenario.",
+        ),
+    ] = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Write a recording (rosbag2), figures, outcomes and a manifest.",
+        ),
+    ] = None,
+) -> int:
+    """Run a scenario to rest, without a ROS graph, and report what came of it."""
+    from derail_ros.commands import simulate as command
+
+    return command.run(scenario, settings or [], ensemble, seed, jobs, as_json, output)
+
+
+@app.command()
+def scenarios(as_json: Json = False) -> int:
+    """List the scenarios."""
+    from derail_ros.commands import scenarios as command
+
+    return command.run(as_json)
+
+
+@app.command()
+def estimate(
+    name: Annotated[str, typer.Argument(help="bar-1, bar-2 or bar-3.")],
+    form: Annotated[
+        str | None, typer.Option(help="published or corrected (bar-2 and bar-3).")
+    ] = None,
+    speed_kmh: Annotated[float | None, typer.Option(help="Speed of the train.")] = None,
+    mu1: Annotated[
+        float | None, typer.Option(help="Friction on the rails; bar-3: of the braked train.")
+    ] = None,
+    mu2: Annotated[float | None, typer.Option(help="Friction on the ground.")] = None,
+    cars: Annotated[
+        str, typer.Option(help="Numbers of cars: 60, or 20,40,60, or first:last:step.")
+    ] = "10:100:10",
+    car_length: Annotated[float, typer.Option(help="Length of a car, m.")] = 15.0,
+    as_json: Json = False,
+) -> int:
+    """Estimate the cars derailed: the train as a bar that slides onto the ground.
+
+    Without options: the parameters of the published figures.
+    """
+    from derail_ros.commands import estimate as command
+
+    return command.run(name, form, speed_kmh, mu1, mu2, cars, car_length, as_json)
+
+
+@app.command()
+def validate(
+    members: Annotated[int, typer.Option("--ensemble", "-n", min=2, help="Runs a case.")] = 20,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write docs/validation.md (or --to) as well.")
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/validation.md"
+    ),
+) -> int:
+    """Compare ensembles with the published runs."""
+    from derail_ros.commands import validate as command
+
+    return command.run(members, seed, jobs, as_json, to if write else None)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; its exit code. Errors are one line on stderr."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # A supervisor's SIGTERM ends a command as cleanly as Ctrl-C does.
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = app(args=arguments or ["--help"], prog_name="derail", standalone_mode=False)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except BrokenPipeError:
+        # The reader of stdout has gone; keep the interpreter from complaining at its exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except Exception as error:
+        return _explain(error)
+    return code if isinstance(code, int) else 0
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _explain(error: Exception) -> int:
+    """Turn what is the user's to mend into a line; anything else is a defect and raised."""
+    if type(error).__name__ == "Abort":  # typer's own name for Ctrl-C
+        return _fail("interrupted", 130)
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # usage
+        return _fail(error.format_message(), 2)
+    from derail_ros.commands.common import CommandFailure
+    from derail_ros.scenario.errors import ScenarioError
+
+    if isinstance(error, CommandFailure):
+        return _fail(str(error), error.code)
+    if isinstance(error, ScenarioError):
+        return _fail(str(error), 2)
+    raise error
+
+
+def _fail(message: str, code: int) -> int:
+    line = " ".join(message.split())
+    print(f"derail: {line}", file=sys.stderr, flush=True)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

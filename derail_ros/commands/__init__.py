@@ -1,0 +1,1 @@
+"""What stands behind the commands of ``derail``: one module a command, imported when it runs."""

@@ -1,0 +1,115 @@
+"""What the commands share: errors, output, progress."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from derail_ros.scenario import Scenario
+
+OK = 0
+BAD_INPUT = 2
+FAILED = 3
+INTERRUPTED = 130
+
+
+class CommandFailure(Exception):
+    """The command ends with this one line on stderr and this exit code."""
+
+    def __init__(self, message: str, code: int = BAD_INPUT) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def err() -> Console:
+    """Console for everything that is not the answer."""
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
+
+
+def out() -> Console:
+    """Console for the answer, wide enough to keep tables whole in files and pipes."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, 120)
+    return console
+
+
+def note(message: str) -> None:
+    """A line on stderr beside the answer."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object on stdout; NaN and infinity are an error of ours, never printed."""
+    print(json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2))
+
+
+def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
+    """Load a scenario and apply ``path=value`` settings.
+
+    Raises
+    ------
+    ScenarioError
+        Naming file, line and field.
+    """
+    from derail_ros.scenario import load_scenario, parse_set
+
+    scenario = load_scenario(name_or_file)
+    overrides = dict(parse_set(text) for text in settings)
+    return scenario.with_overrides(overrides) if overrides else scenario
+
+
+def warm_up() -> None:
+    """Have the engine's kernels ready, saying so if they must be compiled first."""
+    import threading
+
+    message = "derail: compiling the engine's kernels (once; half a minute or so)"
+    timer = threading.Timer(2.0, note, (message,))
+    timer.daemon = True
+    timer.start()
+    try:
+        from derail_ros.engine import warm_up as engine_warm_up
+
+        engine_warm_up()
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def progress(*columns: Any) -> Iterator[Any]:
+    """A rich progress display on stderr; silent where stderr is not a terminal."""
+    from rich.progress import Progress
+
+    console = err()
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bars:
+        yield bars
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write one JSON object to a file."""
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def output_directory(path: Path) -> Path:
+    """Make a folder for results; one with something in it is refused, results are not mixed."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if any(path.iterdir()):
+            raise CommandFailure(f"{path}: is not empty; choose another folder or empty it")
+    except OSError as error:
+        raise CommandFailure(f"{path}: {error.strerror or error}") from None
+    return path

@@ -1,0 +1,381 @@
+"""``derail simulate``: a run or an ensemble of a scenario, without a ROS graph."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.studies.ensemble import (
+    VARIATION,
+    Result,
+    advance,
+    describe,
+    ensemble_runs,
+    run_many,
+)
+from derail_ros.studies.records import Moments, Record, failed_record, flatten, outcome_record
+
+if TYPE_CHECKING:
+    from derail_ros.engine import Outcome, Simulation
+    from derail_ros.scenario import Scenario
+
+
+def run(
+    name_or_file: str,
+    settings: Sequence[str],
+    ensemble: int | None,
+    seed: int,
+    jobs: int | None,
+    as_json: bool,
+    output: Path | None,
+) -> int:
+    """Simulate and report; the exit code."""
+    from derail_ros.engine import ParameterError, Simulation
+
+    scenario = common.load(name_or_file, settings)
+    params = scenario.to_params()
+    if ensemble is not None and ensemble > 1 and not params.initiation.lateral_forces:
+        note(f"{scenario.name} has no lateral force to vary: all members are the same run")
+    if output is not None:
+        output = common.output_directory(output)
+    common.warm_up()
+    try:
+        simulation = Simulation(params)
+    except ParameterError as error:
+        raise CommandFailure(f"{scenario.name}: {error}") from None
+
+    members = 1 if ensemble is None else ensemble
+    records: list[Record | None] = [None] * members
+    moments = Moments()
+    with common.progress(*_columns(members)) as bars:
+        task = bars.add_task(scenario.name, total=members if members > 1 else None, state="")
+        if members == 1 or output is not None:
+            records[0] = _first(simulation, scenario, output, bars, task)
+            bars.update(task, advance=1)
+        if members > 1:
+            done = records[0] is not None
+            runs = ensemble_runs(params, members, seed=seed)
+            if done:
+                next(runs)
+            with closing(run_many(runs, jobs=jobs)) as results:
+                for result in results:
+                    records[result.index + done] = _record(result)
+                    bars.update(task, advance=1)
+    outcomes = [r for r in records if r is not None]
+    for record in outcomes:  # in order, so that the last digits do not depend on the jobs
+        moments.add(record)
+
+    report = {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "seed": seed if ensemble is not None else None,
+        "members": members,
+        "void": moments.void,
+        "failed": moments.failed,
+        "outcomes": outcomes,
+        "mean": moments.mean(),
+        "sd": moments.sd(),
+    }
+    if output is not None:
+        _write(output, scenario, settings, seed, report, simulation)
+    if as_json:
+        common.print_json(report)
+    else:
+        _print(report, output)
+    if moments.failed:
+        for i, record in enumerate(outcomes):
+            if "error" in record:
+                note(f"derail: member {i} failed: {record['error']}")
+                break
+    return FAILED if moments.failed == members else OK
+
+
+def _columns(members: int) -> list[Any]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns: list[Any] = [TextColumn("{task.description}"), BarColumn()]
+    if members > 1:
+        columns += [MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()]
+    else:
+        columns += [TextColumn("{task.fields[state]}"), TimeElapsedColumn()]
+    return columns
+
+
+def _first(
+    simulation: Simulation, scenario: Scenario, output: Path | None, bars: Any, task: Any
+) -> Record:
+    """Run the scenario itself, recorded if there is an output folder."""
+
+    def show(running: Simulation) -> None:
+        derailed = len(running.outcome().derailed_cars)
+        bars.update(task, state=f"{running.time:.1f} s, {derailed} cars derailed")
+
+    began = time.perf_counter()
+    from derail_ros.engine import SimulationError
+
+    try:
+        if output is not None:
+            from derail_ros.recording import record_run
+
+            record_run(simulation, scenario, output / "recording")
+            outcome = simulation.outcome()
+        else:
+            outcome = advance(simulation, progress=show, slice_s=0.5)
+    except SimulationError as error:
+        if output is not None:
+            (output / "failed_state.bin").write_bytes(simulation.to_bytes())
+        return failed_record(describe(error), time.perf_counter() - began)
+    return outcome_record(outcome, time.perf_counter() - began)
+
+
+def _record(result: Result) -> Record:
+    if result.error is not None:
+        return failed_record(result.error, result.wall_s)
+    return outcome_record(result.outcome, result.wall_s)
+
+
+# Files -------------------------------------------------------------------------------------
+
+
+def _write(
+    output: Path,
+    scenario: Scenario,
+    settings: Sequence[str],
+    seed: int,
+    report: Record,
+    simulation: Simulation,
+) -> None:
+    """Figures, outcomes and manifest."""
+    from derail_ros.recording.manifest import software_versions
+
+    common.write_json(output / "outcomes.json", report)
+    if report["members"] > 1:
+        write_csv(output / "outcomes.csv", report["outcomes"])
+    if "error" not in report["outcomes"][0]:
+        write_figures(output, scenario.title, simulation)
+    common.write_json(
+        output / "manifest.json",
+        {
+            "format": "derail_ros/results",
+            "version": 1,
+            "command": "simulate",
+            "scenario": scenario.resolved(),
+            "scenario_name": scenario.name,
+            "scenario_hash": scenario.hash,
+            "settings": list(settings),
+            "ensemble": report["members"],
+            "seed": report["seed"],
+            "variation": VARIATION,
+            "commands": [],
+            "software": software_versions(),
+            "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
+        },
+    )
+
+
+def write_figures(output: Path, title: str, simulation: Simulation) -> None:
+    """The final scene and the peak forces of a finished run."""
+    from derail_ros.review import figures
+    from derail_ros.review.scene import scene_from_simulation
+
+    outcome = simulation.outcome()
+    line = sentence(outcome)
+    scene = scene_from_simulation(simulation, title, line)
+    figures.save(figures.final_scene(scene), output / "final_scene.png")
+    figures.save(
+        figures.peak_forces(
+            outcome.car_peak_force,
+            outcome.car_peak_other,
+            time=outcome.car_peak_time,
+            derailed=outcome.derailed_cars,
+            subtitle=f"{title}.",
+        ),
+        output / "peak_forces.png",
+    )
+
+
+def write_csv(path: Path, records: Sequence[Record]) -> None:
+    """One row a member: its measures, lists of cars as their number."""
+    rows = []
+    for i, record in enumerate(records):
+        row: dict[str, Any] = {"member": i}
+        row["status"] = record.get("status", "")
+        row["void"] = int(bool(record.get("void", False)))
+        row["error"] = record.get("error", "")
+        pair = record.get("peak_force_pair")
+        row["peak_force_pair"] = "" if pair is None else f"{pair[0]}-{pair[1]}"
+        row |= flatten(record)
+        rows.append(row)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+# Words and tables --------------------------------------------------------------------------
+
+
+def sentence(outcome: Outcome) -> str:
+    """An outcome in a line."""
+    n = outcome.cars_derailed
+    text = f"{n} car{'' if n == 1 else 's'} derailed"
+    if outcome.duration == outcome.duration:  # not nan
+        text += f", at rest after {outcome.duration:.1f} s"
+    if outcome.peak_force_pair is not None:
+        a, b = outcome.peak_force_pair
+        text += (
+            f"; largest force {outcome.peak_force * 1e-6:.1f} MN, car {a} into car {b}"
+            f" at {outcome.peak_force_time:.2f} s"
+        )
+    if n:
+        text += f"; scene {outcome.scene_length:.1f} m x {outcome.scene_width:.1f} m"
+    return text
+
+
+ENERGY_TAKERS = {
+    "brakes": "brakes",
+    "ground_trucks": "ground, at the trucks",
+    "ground_body": "ground, over the bodies",
+    "collisions": "collisions",
+    "striker_dampers": "draft gear",
+    "knuckles_released": "couplings that parted",
+}
+"""Ledger entries that take energy out, in words."""
+
+
+def stopped_by(record: Record) -> str:
+    """What share of the energy at the start went where."""
+    initial, energy = record.get("energy_initial_J"), record.get("energy_J")
+    if not initial or not energy:
+        return ""
+    shares = {
+        words: 100.0 * energy[name] / initial
+        for name, words in ENERGY_TAKERS.items()
+        if energy.get(name) is not None
+    }
+    ranked = sorted(shares.items(), key=lambda item: -item[1])
+    return ", ".join(f"{words} {share:.0f} %" for words, share in ranked if share >= 0.5)
+
+
+Format = Any
+
+
+def _cars(cars: Sequence[int]) -> str:
+    """``1-5, 8`` for [1, 2, 3, 4, 5, 8]."""
+    groups: list[list[int]] = []
+    for car in cars:
+        if groups and car == groups[-1][1] + 1:
+            groups[-1][1] = car
+        else:
+            groups.append([car, car])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in groups) or "none"
+
+
+ROWS: tuple[tuple[str, str, float, str], ...] = (
+    ("cars derailed", "cars_derailed", 1.0, ".1f"),
+    ("duration (s)", "duration_s", 1.0, ".2f"),
+    ("peak force (MN)", "peak_force_N", 1e-6, ".2f"),
+    ("  at (s)", "peak_force_time_s", 1.0, ".2f"),
+    ("scene length (m)", "scene_length_m", 1.0, ".1f"),
+    ("scene width (m)", "scene_width_m", 1.0, ".1f"),
+    ("scene area (m2)", "scene_area_m2", 1.0, ".0f"),
+    ("cars struck above 5 MN", "cars_above_5MN", 1.0, ".1f"),
+    ("cars struck above 10 MN", "cars_above_10MN", 1.0, ".1f"),
+    ("rear part stopped at (m)", "rear_stop_m", 1.0, ".1f"),
+    ("coupler gap, largest (um)", "max_coupler_gap_m", 1e6, ".3g"),
+    ("energy residual (%)", "energy_residual", 100.0, ".2g"),
+    ("steps", "steps", 1.0, ".0f"),
+    ("wall time (s)", "wall_s", 1.0, ".3f"),
+)
+
+
+def _print(report: Record, output: Path | None) -> None:
+    from rich.markup import escape
+
+    console = common.out()
+    console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
+    outcomes = report["outcomes"]
+    if report["members"] == 1:
+        console.print(_one(outcomes[0]))
+    else:
+        console.print(_many(report))
+    if output is not None:
+        console.print(f"results in {escape(str(output))}", soft_wrap=True)
+
+
+def _table() -> Any:
+    from rich.table import Table
+
+    return Table(box=None, pad_edge=False, show_header=True, header_style="bold")
+
+
+def _one(record: Record) -> Any:
+    table = _table()
+    table.add_column("outcome")
+    table.add_column("")
+    if "error" in record:
+        table.add_row("failed", record["error"])
+        return table
+    table.add_row("status", record["status"] + (VOID if record["void"] else ""))
+    for label, key, factor, form in ROWS:
+        value = record[key]
+        if isinstance(value, list):
+            text = f"{len(value)}  ({_cars(value)})" if value else "0"
+        elif value is None:
+            text = "-"
+        elif isinstance(value, int):
+            text = str(value)
+        else:
+            text = format(value * factor, form)
+        if key == "cars_derailed" and value:
+            text += f"  ({_cars(record['derailed_cars'])})"
+        if key == "peak_force_N" and record["peak_force_pair"] is not None:
+            a, b = record["peak_force_pair"]
+            text += f"  (car {a} into car {b})"
+        table.add_row(label, text)
+    if words := stopped_by(record):
+        table.add_row("stopped by", words)
+    return table
+
+
+VOID = ": the body that stands for the cars behind reached a break; model more cars"
+
+
+def _many(report: Record) -> Any:
+    from derail_ros.studies.records import counted
+
+    table = _table()
+    table.add_column("ensemble")
+    for heading in ("mean", "sd", "least", "most", "member 0"):
+        table.add_column(heading, justify="right")
+    good = [flatten(r) for r in report["outcomes"] if counted(r)]
+    first = flatten(report["outcomes"][0])
+    for label, key, factor, form in ROWS:
+        values = [r[key] for r in good if key in r]
+        if not values:
+            continue
+        mean, sd = report["mean"].get(key), report["sd"].get(key)
+        cells = (mean, sd, min(values), max(values), first.get(key))
+        table.add_row(label, *("-" if c is None else format(c * factor, form) for c in cells))
+    counts = f"{report['members']} runs"
+    if report["void"]:
+        counts += f", {report['void']} void and left out"
+    if report["failed"]:
+        counts += f", {report['failed']} failed"
+    table.caption = counts
+    table.caption_justify = "left"
+    return table
