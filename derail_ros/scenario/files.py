@@ -69,14 +69,16 @@ def read_text(path: Path) -> str:
     """
     name = str(path)
     try:
-        if not path.is_file():
-            reason = "is not a file" if path.exists() else "no such file"
-            raise ScenarioError(name, None, "", reason)
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+        is_file, exists = path.is_file(), path.exists()
+        data = b""
+        if is_file:
+            with path.open("rb") as stream:
+                data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ScenarioError(name, None, "", f"cannot be read: {reason}") from None
+    if not is_file:
+        raise ScenarioError(name, None, "", "is not a file" if exists else "no such file")
     if len(data) > MAX_BYTES:
         raise ScenarioError(name, None, "", f"is over the limit of {MAX_BYTES // 1024} KB")
     try:

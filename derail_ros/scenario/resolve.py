@@ -30,7 +30,7 @@ from derail_ros.engine.params import (
 )
 from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.messages import did_you_mean, shown
-from derail_ros.scenario.rolling_stock import RollingStock
+from derail_ros.scenario.rolling_stock import RollingStock, check_car_type
 from derail_ros.scenario.schema import (
     MAX_CARS,
     BrakeSpec,
@@ -144,6 +144,8 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     Refusal
         With the path of the first mistake.
     """
+    for name, kind in model.train.car_types.items():
+        check_car_type(kind, ("train", "car_types", name))
     couplers = _couplers(model, stock)
     blocks = tuple(
         _block(block, ("train", "consist", i), model, stock, couplers)
@@ -281,16 +283,13 @@ def _mass(block: ConsistBlock, kind: CarType | None, path: Path) -> float:
             raise Refusal((*path, "load"), "mass_kg is given too: one of the two decides")
         return block.mass_kg
     if kind is None:
-        key = "mass_kg"
-        raise Refusal((*path, key), "is required where no car type gives it")
+        raise Refusal((*path, "mass_kg"), "is required where no car type gives it")
     if kind.empty_mass_kg is not None and kind.loaded_mass_kg is not None:
         load = _first(block.load, 1.0)
         return float(kind.empty_mass_kg + load * (kind.loaded_mass_kg - kind.empty_mass_kg))
-    if kind.mass_kg is None:
-        reason = f"car type {block.car!r} has neither mass_kg nor empty_mass_kg and loaded_mass_kg"
-        raise Refusal((*path, "car"), reason)
     if block.load is not None:
         raise Refusal((*path, "load"), f"car type {block.car!r} has no empty and loaded mass")
+    assert kind.mass_kg is not None  # check_car_type has seen to it
     return kind.mass_kg
 
 

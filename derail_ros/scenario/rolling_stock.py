@@ -8,9 +8,11 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.files import read_text, rolling_stock_dir
 from derail_ros.scenario.messages import first_mistake
 from derail_ros.scenario.schema import CarType, CarTypeFile, CouplerSpec, CouplerTypeFile
+from derail_ros.scenario.strict_yaml import Path as Place
 from derail_ros.scenario.strict_yaml import parse
 
 
@@ -37,6 +39,19 @@ def load_rolling_stock(folder: Path | None = None) -> RollingStock:
     return _load(files)
 
 
+def check_car_type(kind: CarType, path: Place) -> None:
+    """Refuse a car type whose masses contradict each other or are missing."""
+    span = [kind.empty_mass_kg, kind.loaded_mass_kg]
+    if kind.mass_kg is not None:
+        if span != [None, None]:
+            raise Refusal((*path, "mass_kg"), "goes without empty_mass_kg and loaded_mass_kg")
+    elif kind.empty_mass_kg is None or kind.loaded_mass_kg is None:
+        reason = "is required, or both empty_mass_kg and loaded_mass_kg"
+        raise Refusal((*path, "mass_kg"), reason)
+    elif kind.empty_mass_kg > kind.loaded_mass_kg:
+        raise Refusal((*path, "empty_mass_kg"), "must not be above loaded_mass_kg")
+
+
 @functools.lru_cache(maxsize=8)
 def _load(files: tuple[tuple[str, int], ...]) -> RollingStock:
     cars: dict[str, CarType] = {}
@@ -55,5 +70,9 @@ def _load(files: tuple[tuple[str, int], ...]) -> RollingStock:
             for key in content.car_types:
                 if key in cars:
                     raise document.error(("car_types", key), "is defined in two files")
+                try:
+                    check_car_type(content.car_types[key], ("car_types", key))
+                except Refusal as refusal:
+                    raise document.error(refusal.path, refusal.reason) from None
             cars.update(content.car_types)
     return RollingStock(cars, couplers)

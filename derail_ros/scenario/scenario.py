@@ -318,7 +318,6 @@ def _near_names(name: str, folders: tuple[FilePath, ...]) -> str:
 
 def _merge_below(document: Document, base: Document) -> None:
     """Put the base below a document: mappings are merged key by key, the rest is replaced."""
-    replaced: set[Path] = set()
 
     def merge(below: dict[str, Any], top: dict[str, Any], path: Path) -> dict[str, Any]:
         merged = dict(below)
@@ -333,6 +332,7 @@ def _merge_below(document: Document, base: Document) -> None:
 
     # a title that was not written for the variant would mislead
     inherited = {k: v for k, v in base.data.items() if k not in ("title", "description")}
+    replaced = {("title",), ("description",)}
     document.data = merge(inherited, document.data, ())
     document.marks = _without(base.marks, replaced) | document.marks
 
@@ -367,11 +367,11 @@ _INDEX = re.compile(r"(0|[1-9][0-9]{0,5})\Z")
 
 
 def _split(text: str, mark: Mark) -> Path:
-    if not isinstance(text, str) or not all(text.split(".")):
-        raise ScenarioError(mark.file, mark.line, shown(text), "is not a dotted path")
-    if len(text.split(".")) > MAX_DEPTH:
-        raise ScenarioError(mark.file, mark.line, shown(text), "is too long a path")
-    path = tuple(int(step) if _INDEX.match(step) else step for step in text.split("."))
+    steps = str(text).split(".")
+    if not isinstance(text, str) or not all(steps) or len(steps) > MAX_DEPTH:
+        place = dotted(tuple(steps[:MAX_DEPTH]))
+        raise ScenarioError(mark.file, mark.line, place, "is not a dotted path")
+    path = tuple(int(step) if _INDEX.match(step) else step for step in steps)
     if path[0] in _FIXED:
         raise ScenarioError(mark.file, mark.line, text, "cannot be overridden")
     return path
