@@ -201,7 +201,7 @@ def write_figures(output: Path, title: str, simulation: Simulation) -> None:
             outcome.car_peak_other,
             time=outcome.car_peak_time,
             derailed=outcome.derailed_cars,
-            subtitle=f"{title}.",
+            title=title,
         ),
         output / "peak_forces.png",
     )

@@ -38,7 +38,7 @@ BLUE = "#0072b2"
 STATES: tuple[tuple[str, str, str], ...] = (
     ("on the rails", "#e3e6ea", ""),
     ("derailed, coupled", "#7cc3ee", "////"),
-    ("derailed, both couplings parted", "#f0b13c", "...."),
+    ("derailed, uncoupled", "#f0b13c", "...."),
 )
 """Label, fill and hatch of the states of a car."""
 
@@ -79,6 +79,12 @@ def save(figure: Figure, path: str | Path, dpi: int = 150) -> Path:
     return path
 
 
+def _headline(figure: Figure, x: float, y: float, text: str, fits: int) -> None:
+    """A title; smaller if it has more letters than fit."""
+    size = 14.0 * min(1.0, fits / max(len(text), 1))
+    figure.text(x, y, text, size=size, weight="bold", va="center")
+
+
 # The scene ---------------------------------------------------------------------------------
 
 
@@ -97,9 +103,9 @@ def _final_scene(scene: Scene) -> Figure:
 
     everything = _whole_train(scene)
     span = everything[1] - everything[0]
-    strip = span > 1.25 * (window[1] - window[0])
+    strip = span > 2.0 * (window[1] - window[0])
     strip_aspect = (everything[3] - everything[2]) / span
-    strip_height = float(np.clip(inner * strip_aspect, 0.42, 3.0)) if strip else 0.0
+    strip_height = float(np.clip(inner * strip_aspect, 0.42, 2.4)) if strip else 0.0
     everything = _fit(everything, strip_height / inner) if strip else everything
 
     top, legend, gap = 0.78, 0.42, 0.26
@@ -119,7 +125,7 @@ def _final_scene(scene: Scene) -> Figure:
     _draw_box(axes, scene, window)
     _draw_scale(figure, height, window)
 
-    figure.text(left, 1.0 - 0.3 / height, scene.title, size=14, weight="bold", va="center")
+    _headline(figure, left, 1.0 - 0.3 / height, scene.title, 60)
     figure.text(left, 1.0 - 0.56 / height, scene.subtitle, size=9.5, color="#555555", va="center")
     _draw_key(figure, scene, left, (bottom - 0.12) / height, inner / WIDTH)
 
@@ -425,6 +431,9 @@ def _draw_key(figure: Figure, scene: Scene, left: float, top: float, width: floa
             handles.append(
                 Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=f"{label} ({count})")
             )
+    if (~real).any():
+        cars = int(scene.represents[~real].sum())
+        handles.append(Patch(fc=STAND_IN, ec=FAINT, ls="--", label=f"one body for {cars} cars"))
     handles.append(
         Line2D(
             [], [], ls="-", color=INK, marker="o", mfc=INK, mec="white", ms=4.5, label="coupled"
@@ -436,7 +445,7 @@ def _draw_key(figure: Figure, scene: Scene, left: float, top: float, width: floa
         )
     diamond: dict[str, Any] = {"ls": "", "marker": "D", "mfc": VERMILION, "mec": "white", "ms": 5}
     if np.any(scene.peak_force >= RUPTURE):
-        handles.append(Line2D([], [], **diamond, label="struck above 5 MN (two: above 10 MN)"))
+        handles.append(Line2D([], [], **diamond, label="struck above 5 MN, two: 10 MN"))
     figure.legend(
         handles=handles,
         loc="upper left",
@@ -518,8 +527,7 @@ def peak_forces(
     *,
     time: ArrayLike | None = None,
     derailed: Sequence[int] = (),
-    title: str = "Peak collision force on each car",
-    subtitle: str = "",
+    title: str = "",
 ) -> Figure:
     """Draw the largest corner force on each car, with the car on the other side of it.
 
@@ -529,6 +537,7 @@ def peak_forces(
     opposing : (N,) car number, 0 without
     time : (N,) when, s; not shown without
     derailed : car numbers, from 1
+    title : what ran
     """
     with matplotlib.rc_context(STYLE):
         return _peak_forces(
@@ -537,7 +546,6 @@ def peak_forces(
             None if time is None else np.asarray(time, dtype=float),
             derailed,
             title,
-            subtitle,
         )
 
 
@@ -547,13 +555,14 @@ def _peak_forces(
     time: NDArray | None,
     derailed: Sequence[int],
     title: str,
-    subtitle: str,
 ) -> Figure:
     n = len(force)
     force = np.where(np.isfinite(force), force, 0.0) * 1e-6
     struck = np.flatnonzero(force > 0.0)
-    last = max([*(struck + 1).tolist(), *derailed, 1])
-    shown = min(n, last + 2)
+    involved = [*(struck + 1).tolist(), *derailed] or [1, min(n, 10)]
+    first, last = max(1, min(involved) - 2), min(n, max(involved) + 2)
+    first = 1 if first < 8 else first
+    shown = last - first + 1
     height = 4.9
     figure = _figure(height)
     left = 0.75 / WIDTH
@@ -561,14 +570,15 @@ def _peak_forces(
         (left, 0.6 / height, 1.0 - left - 0.95 / WIDTH, 1.0 - (0.6 + 0.95) / height)
     )
     top = max(float(force.max(initial=0.0)) * 1.16, 11.5)
-    cars = np.arange(1, shown + 1)
-    level = np.digitize(force[:shown], [RUPTURE * 1e-6, RUPTURE_CONSERVATIVE * 1e-6])
+    cars = np.arange(first, last + 1)
+    here = force[first - 1 : last]
+    level = np.digitize(here, [RUPTURE * 1e-6, RUPTURE_CONSERVATIVE * 1e-6])
     handles: list[Any] = []
     for k, (label, fill, hatch) in enumerate(LEVELS):
-        chosen = (level == k) & (force[:shown] > 0.0)
+        chosen = (level == k) & (here > 0.0)
         axes.bar(
             cars[chosen],
-            force[:shown][chosen],
+            here[chosen],
             width=0.74,
             color=fill,
             edgecolor=INK,
@@ -595,8 +605,8 @@ def _peak_forces(
             size=8,
             annotation_clip=False,
         )
-    small = shown > 45
-    for i in struck[struck < shown]:
+    small = shown > 28
+    for i in struck:
         text = f"{other[i]}"
         if time is not None and not small:
             text += f"\n{time[i]:.1f} s"
@@ -607,16 +617,16 @@ def _peak_forces(
             textcoords="offset points",
             ha="center",
             va="bottom",
-            size=6.5 if small or shown > 30 else 8,
+            size=6.5 if shown > 45 else 8,
             linespacing=1.05,
             zorder=5,
         )
         label.set_bbox({"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.7})
-    axes.set_xlim(0.3, shown + 0.7)
+    axes.set_xlim(first - 0.7, last + 0.7)
     axes.set_ylim(0.0, top)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
     every = next(e for e in (1, 2, 5, 10, 20, 50, 100) if shown / e <= 45)
-    axes.set_xticks([c for c in cars if c % every == 0 or (c == 1 and every <= 2)])
+    axes.set_xticks([c for c in cars if c % every == 0])
     axes.tick_params(length=3, color="#c8c8c8")
     axes.set_xlabel("car")
     axes.set_ylabel("largest force at a corner, MN")
@@ -653,16 +663,19 @@ def _peak_forces(
         columnspacing=1.6,
         handleheight=1.1,
     )
-    figure.text(left, 1.0 - 0.27 / height, title, size=14, weight="bold", va="center")
+    heading = f"{title}: peak force on each car" if title else "Peak force on each car"
+    _headline(figure, left, 1.0 - 0.27 / height, heading, 80)
     note = "Above each bar: the car on the other side" + (
         " and the time of the peak." if time is not None and not small else "."
     )
-    if shown < n:
-        note += f" Cars {shown + 1} to {n} were not struck."
+    spans = [(a, b) for a, b in ((1, first - 1), (last + 1, n)) if a <= b]
+    if spans and len(struck):
+        words = " and ".join(str(a) if a == b else f"{a} to {b}" for a, b in spans)
+        note += f" Not struck and not shown: cars {words}."
     figure.text(
         left,
         1.0 - 0.53 / height,
-        f"{subtitle}  {note}".strip(),
+        note,
         size=9.5,
         color="#555555",
         va="center",
