@@ -12,13 +12,14 @@ label changes or a coupling parts.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derail_ros.engine.params import TrainParams
 from msg_adapters.common import NANOSECONDS, RunContext
-from msg_adapters.definitions import message_class, serialize
+from msg_adapters.definitions import message_class, serialize, typestore
 from msg_adapters.state import quaternions
 
 if TYPE_CHECKING:
@@ -124,6 +125,36 @@ def clear(context: RunContext, time: float = 0.0) -> bytes:
     return _array([_marker(context, time, "", 0, CUBE, action=DELETE_ALL)])
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """The bytes of one marker and where in them its changing parts are."""
+
+    data: bytes
+    doubles: tuple[int, ...]
+    seconds: tuple[int, ...]
+    actions: tuple[int, ...]
+
+
+def _piece(marker: Any, phase: int) -> _Piece:
+    """Serialise a marker that begins ``phase`` bytes (0 or 4) after a multiple of eight."""
+    store = typestore()
+    definition = store.get_msgdef("visualization_msgs/msg/Marker")
+    end = definition.getsize_cdr(phase, marker, store)
+    data = bytearray(end + -end % 8)
+    definition.serialize_cdr_le(memoryview(data), phase, marker, store)
+    doubles, words = np.frombuffer(data, "<f8"), np.frombuffer(data, "<u4")
+
+    def places(found: NDArray[np.bool_], size: int) -> tuple[int, ...]:
+        return tuple((size * np.flatnonzero(found) - phase).tolist())
+
+    return _Piece(
+        bytes(data[phase:end]),
+        places(doubles == _SENTINEL, 8),
+        places(words == _SECONDS, 4),
+        places(words == _ACTION, 4),
+    )
+
+
 class MarkerEncoder:
     """``markers`` of a run: cars, labels, couplings and contact forces."""
 
@@ -135,8 +166,8 @@ class MarkerEncoder:
         self._width = np.array([car.width for car in cars])
         self._represents = [car.represents for car in cars]
         self._pivot = np.array([car.pivot_distance for car in cars])
-        self._face = np.array([[car.front.length, car.rear.length] for car in cars])
         self._layout: tuple[Any, ...] = ()
+        self._pieces: dict[tuple[Any, ...], _Piece] = {}
         self._data = bytearray()
 
     def _labels(self, derailed: NDArray[np.bool_], peak: NDArray[np.float64]) -> tuple[str, ...]:
@@ -152,85 +183,84 @@ class MarkerEncoder:
             labels.append(" ".join(parts))
         return tuple(labels)
 
-    def _lay_out(self, labels: tuple[str, ...], coupled: bytes, reset: bool) -> None:
-        """Serialise the message once and note where its changing parts are."""
+    def _make(self, what: str, number: int, detail: Any) -> Any:
+        """A marker with marks where its changing parts will be."""
         mark = (_SENTINEL, 0.0, 0.0)
         context = _SentinelContext("", 0, self.context.frame_id)
-        markers = [_marker(context, 0.0, "", 0, CUBE, action=DELETE_ALL)] if reset else []
-        for i in range(self._n):
-            markers.append(
-                _marker(
-                    context,
-                    0.0,
-                    "cars",
-                    i + 1,
-                    CUBE,
-                    position=mark,
-                    scale=(self._length[i], self._width[i], CAR_HEIGHT),
-                )
+        if what == "clear":
+            return _marker(context, 0.0, "", 0, CUBE, action=DELETE_ALL)
+        if what == "cars":
+            size = (self._length[number - 1], self._width[number - 1], CAR_HEIGHT)
+            return _marker(context, 0.0, what, number, CUBE, position=mark, scale=size)
+        if what == "labels":
+            return _marker(
+                context, 0.0, what, number, TEXT, position=mark, scale=(0.0, 0.0, 2.0), text=detail
             )
-        for i, text in enumerate(labels):
-            markers.append(
-                _marker(
-                    context,
-                    0.0,
-                    "labels",
-                    i + 1,
-                    TEXT,
-                    WHITE,
-                    position=mark,
-                    scale=(0.0, 0.0, 2.0),
-                    text=text,
-                )
-            )
-        for i in range(self._n):
-            markers.append(
-                _marker(
-                    context,
-                    0.0,
-                    "contact_forces",
-                    i + 1,
-                    ARROW,
-                    PURPLE,
-                    action=_ACTION,
-                    scale=(0.35, 0.8, 0.8),
-                    points=(mark, mark),
-                )
-            )
-        links = sum(coupled)
-        markers.append(
-            _marker(
+        if what == "contact_forces":
+            return _marker(
                 context,
                 0.0,
-                "couplers",
-                0,
-                LINE_LIST,
-                BLACK,
-                scale=(0.35, 0.0, 0.0),
-                points=[mark] * (2 * links),
+                what,
+                number,
+                ARROW,
+                PURPLE,
+                action=_ACTION,
+                scale=(0.35, 0.8, 0.8),
+                points=(mark, mark),
             )
+        return _marker(
+            context,
+            0.0,
+            "couplers",
+            0,
+            LINE_LIST,
+            BLACK,
+            scale=(0.35, 0.0, 0.0),
+            points=[mark] * (2 * detail),
         )
-        data = bytearray(_array(markers))
-        self._size = len(data)
-        data += bytes(-(len(data) - 4) % 8)
-        doubles = np.frombuffer(data, "<f8", offset=4)
-        marks = np.flatnonzero(doubles == _SENTINEL)
+
+    def _lay_out(self, labels: tuple[str, ...], coupled: bytes, reset: bool) -> None:
+        """Put the message together from pieces and note where its changing parts are."""
+        numbers = range(1, self._n + 1)
+        content: list[tuple[str, int, Any]] = [
+            *([("clear", 0, None)] if reset else []),
+            *(("cars", i, None) for i in numbers),
+            *(("labels", i, text) for i, text in zip(numbers, labels)),
+            *(("contact_forces", i, None) for i in numbers),
+            ("couplers", 0, sum(coupled)),
+        ]
+        # Places count from the end of the encapsulation header, as alignment does.
+        chunks = [len(content).to_bytes(4, "little")]
+        at = 4
+        doubles: dict[str, list[int]] = {}
+        seconds: list[int] = []
+        actions: list[int] = []
+        for item in content:
+            key = (*item, at % 8)
+            piece = self._pieces.get(key)
+            if piece is None:
+                piece = self._pieces[key] = _piece(self._make(*item), at % 8)
+            doubles.setdefault(item[0], []).extend((at + d) // 8 for d in piece.doubles)
+            seconds.extend((at + w) // 4 for w in piece.seconds)
+            actions.extend((at + w) // 4 for w in piece.actions)
+            padding = -len(piece.data) % 4 if item is not content[-1] else 0
+            chunks += [piece.data, bytes(padding)]
+            at += len(piece.data) + padding
+        data = bytearray(b"".join([b"\x00\x01\x00\x00", *chunks, bytes(-at % 8)]))
         self._data = data
-        self._doubles = doubles
-        n = self._n
-        self._cars = marks[:n]
-        self._text = marks[n : 2 * n]
-        self._arrows = marks[2 * n : 4 * n].reshape(n, 2)
-        self._links = int(marks[4 * n]) if links else 0
-        self._link_count = links
+        self._size = 4 + at
+        self._doubles = np.frombuffer(data, "<f8", offset=4)
+        self._singles = np.frombuffer(data, "<f4", offset=4)
+        self._words = np.frombuffer(data, "<u4", offset=4)
+        self._cars = np.array(doubles["cars"])
+        self._text = np.array(doubles["labels"])
+        self._arrows = np.array(doubles["contact_forces"]).reshape(self._n, 2)
+        self._links = doubles["couplers"][0] if doubles["couplers"] else 0
+        self._link_count = sum(coupled)
+        self._seconds = np.array(seconds)
+        self._actions = np.array(actions)
         # A marker's pose and scale are ten doubles; its colour follows as four floats.
-        singles = np.frombuffer(data, "<f4", offset=4, count=(len(data) - 4) // 4)
-        self._singles = singles
         self._colors = 2 * (self._cars + 10)
-        words = np.frombuffer(data, "<u4", offset=4, count=(len(data) - 4) // 4)
-        self._words = words
-        self._actions = np.flatnonzero(words == _ACTION)
-        self._seconds = np.flatnonzero(words == _SECONDS)
         self._layout = (labels, coupled, reset)
 
     def __call__(self, sample: Sample, peak: NDArray[np.float64], *, reset: bool = False) -> bytes:

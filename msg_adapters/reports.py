@@ -60,9 +60,11 @@ def consist(
     scenario_yaml: str = "",
     software_version: str = "",
     engine_hash: str = "",
+    car_types: Sequence[str] = (),
 ) -> Any:
     """``derail_msgs/Consist``: what the train is made of and where the run comes from."""
     cars = params.cars
+    types = [*car_types, *([""] * (len(cars) - len(car_types)))]
 
     def doubles(values: Iterable[float]) -> NDArray[np.float64]:
         return np.array([float(v) for v in values], dtype=np.float64)
@@ -76,8 +78,8 @@ def consist(
         software_version=software_version,
         engine_hash=engine_hash,
         initial_speed=float(params.initiation.speed),
-        car_name=[f"car {i}" for i in range(1, len(cars) + 1)],
-        car_type=[car.name for car in cars],
+        car_name=[car.name or f"car {i}" for i, car in enumerate(cars, 1)],
+        car_type=types,
         contents=[car.contents for car in cars],
         mass=doubles(car.mass for car in cars),
         inertia=doubles(car.inertia for car in cars),
@@ -157,16 +159,18 @@ def value_unit(event: Event) -> str:
     """Unit of the number behind an event's cause."""
     if not math.isfinite(event.value):
         return ""
+    lateral = event.cause == "lateral force"
     if event.kind == EventKind.TRUCK_DERAILED:
-        return "1" if event.cause == "lateral force" else "m"
+        return "1" if lateral else "m"
+    if event.kind == EventKind.RAIL_BREAK_SET:
+        return "1" if lateral else ""
+    if event.kind == EventKind.BRAKES_TRIGGERED:
+        return "m" if event.cause == "vented" else ""
     return {
         EventKind.COUPLER_PARTED: "rad",
-        EventKind.RAIL_BREAK_SET: "m",
-        EventKind.BRAKES_TRIGGERED: "s",
-        EventKind.BRAKE_SIGNAL_REACHED: "s",
-        EventKind.COLLISION_BEGAN: "N",
-        EventKind.COLLISION_ENDED: "N",
+        EventKind.BRAKE_SIGNAL_REACHED: "m",
         EventKind.RUN_ENDED: "s",
+        EventKind.RUN_VOID: "m",
     }.get(event.kind, "")
 
 
@@ -188,29 +192,33 @@ def describe(event: Event) -> str:
         return f"emergency brakes applied{why}"
     if kind == EventKind.BRAKE_SIGNAL_REACHED:
         return f"brake signal reached {car}"
-    if kind == EventKind.COLLISION_BEGAN:
-        return f"cars {pair} collide"
-    if kind == EventKind.COLLISION_ENDED:
-        return f"cars {pair} part after a collision"
     if kind == EventKind.CAR_AT_REST:
         return f"{car} came to rest"
     words = kind.name.lower().replace("_", " ")
     return f"{words}: {event.cause}" if event.cause else words
 
 
-def train_event(event: Event, sequence: int, context: RunContext, text: str = "") -> Any:
+def kind_number(kind: EventKind) -> int:
+    """Number of a kind of event in ``derail_msgs/TrainEvent``."""
+    return int(getattr(message_class("derail_msgs/msg/TrainEvent"), f"KIND_{kind.name}"))
+
+
+def train_event(event: Event, sequence: int, context: RunContext) -> Any:
     """``derail_msgs/TrainEvent`` of an event."""
+    cause = event.cause
+    if event.kind == EventKind.RAIL_BREAK_SET and cause == "initial":
+        cause = "scenario"
     return message_class("derail_msgs/msg/TrainEvent")(
         header=context.header(event.time),
         run_id=context.run_id,
         step=int(event.step),
         time=float(event.time),
         sequence=sequence,
-        kind=int(event.kind),
+        kind=kind_number(event.kind),
         kind_name=event.kind.name.lower(),
         cars=np.array(event.cars, dtype=np.uint32),
         end=END[event.end],
-        cause=event.cause,
+        cause=cause,
         x=float(event.x),
         y=float(event.y),
         track_coordinate=float(event.track_coordinate),
@@ -219,20 +227,21 @@ def train_event(event: Event, sequence: int, context: RunContext, text: str = ""
         value_unit=value_unit(event),
         before=event.before,
         after=event.after,
-        text=text or describe(event),
+        text=describe(event),
     )
 
 
 def event_from_message(message: Any) -> Event:
     """The event that a ``derail_msgs/TrainEvent`` tells of."""
     ends = {number: name for name, number in END.items()}
+    cause = "initial" if message.cause == "scenario" else message.cause
     return Event(
-        kind=EventKind(int(message.kind)),
+        kind=EventKind[message.kind_name.upper()],
         time=float(message.time),
         step=int(message.step),
         cars=tuple(int(c) for c in message.cars),
         end=ends[int(message.end)],
-        cause=message.cause,
+        cause=cause,
         x=float(message.x),
         y=float(message.y),
         track_coordinate=float(message.track_coordinate),
@@ -258,6 +267,7 @@ def collision(contact: Collision, step: int, context: RunContext) -> Any:
         is_final=bool(contact.final),
         car_a=int(contact.car_a),
         car_b=int(contact.car_b),
+        corner_car=int(contact.corner_car),
         corner=int(contact.corner),
         struck_wall=WALL_UNKNOWN,
         start_time=float(contact.start),
@@ -283,6 +293,7 @@ def collision_from_message(message: Any) -> Collision:
         final=bool(message.is_final),
         car_a=int(message.car_a),
         car_b=int(message.car_b),
+        corner_car=int(message.corner_car),
         corner=int(message.corner),
         start=float(message.start_time),
         end=float(message.end_time),

@@ -134,3 +134,24 @@ def rclpy_class(msgtype: str) -> Any:
 
     package, kind, name = msgtype.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def check_interfaces() -> None:
+    """Hold the installed ROS messages against the definitions that messages are made from.
+
+    Raises
+    ------
+    RuntimeError
+        If ``derail_msgs`` is missing or of another version.
+    """
+    from msg_adapters.definitions import field_names
+
+    for topic in TOPICS.values():
+        try:
+            installed = list(rclpy_class(topic.msgtype).get_fields_and_field_types())
+        except (ImportError, AttributeError) as error:
+            raise RuntimeError(f"{topic.msgtype} is not installed: {error}") from error
+        if installed != field_names(topic.msgtype):
+            raise RuntimeError(
+                f"the installed {topic.msgtype} is of another version: build derail_msgs again"
+            )

@@ -1,0 +1,768 @@
+"""The simulator without ROS: states, pacing, commands, recordings.
+
+The node hands over requests and calls :meth:`SimulatorCore.work` in a loop; what comes out goes
+through :class:`Output`. Wall time comes from a function, so tests can drive it.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from derail_ros.engine.errors import CommandError, DerailError, SimulationError
+from derail_ros.engine.events import EventKind
+from derail_ros.nodes.session import Prepared, Rates, Session, prepare
+from derail_ros.recording.manifest import Manifest
+from derail_ros.recording.recorder import RecordingError, RunRecorder, absolute, recorded_topics
+from derail_ros.scenario import ScenarioError, load_scenario_by_name, loads_scenario
+from msg_adapters import reports
+from msg_adapters.common import RunContext
+from msg_adapters.definitions import serialize
+
+SLICE = 0.008
+"""Wall time of physics after which requests get their turn, s."""
+SLACK = 0.010
+"""Lateness that is made up for, s; what is beyond slows the run instead."""
+MAX_CARS = 1000
+MAX_YAML = 256 * 1024
+IDLE = 0.1
+"""Wall time after which the loop looks around even if nothing is due, s."""
+IDLE_MARKERS = 1.0
+"""Wall time between markers while nothing moves, s: for those who come late."""
+
+BRAKE_MODES = ("conventional", "instant", "traction_limited", "instant_traction_limited")
+BRAKE_SOURCES = ("front", "rear", "both_ends", "car")
+
+
+class State(enum.IntEnum):
+    """States of the simulation; the numbers of ``derail_msgs/SetSimulationState``."""
+
+    STOPPED = 0
+    PLAYING = 1
+    PAUSED = 2
+    QUITTING = 3
+
+
+class Level(enum.IntEnum):
+    """Levels of ``diagnostic_msgs/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass
+class Settings:
+    """What the node's parameters set; see ``derail_ros/nodes/parameters.py``."""
+
+    scenario_dirs: tuple[str, ...] = ()
+    speed_factor: float = 1.0
+    state_rate: float = 50.0
+    marker_rate: float = 15.0
+    publish_clock: bool = True
+    clock_rate: float = 100.0
+    allow_quit: bool = False
+    frame_id: str = "map"
+    record: str = ""
+    record_storage: str = "mcap"
+    namespace: str = ""
+    name: str = "simulator"
+    state_dir: str = ""
+
+
+class Output(Protocol):
+    """Where live messages go."""
+
+    def publish(self, topic: str, data: bytes) -> None:
+        """Send a message."""
+
+    def begin_run(self) -> None:
+        """Forget the events and contacts kept for late subscribers."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Tell the user."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a request.
+
+    Attributes
+    ----------
+    success, message : as in every service
+    stamp : simulation time of application, ns
+    step : accepted integration steps at that moment
+    run_id : of the run
+    value : a number that the answer carries (the coordinate of a break)
+    """
+
+    success: bool
+    message: str
+    stamp: int
+    step: int
+    run_id: str = ""
+    value: float = math.nan
+
+
+@dataclass
+class _Pace:
+    """Counts for the diagnostics."""
+
+    overruns: int = 0
+    refused: int = 0
+    since: float = 0.0
+    simulated: float = 0.0
+    playing: float = 0.0
+    factor: float = 0.0
+    steps: int = 0
+    step_size: float = math.nan
+
+
+@dataclass
+class _Stepping:
+    """A request for ticks that is being carried out."""
+
+    left: int
+    asked: int
+    caller: str
+    done: Callable[[Answer], None]
+
+
+@dataclass
+class _Due:
+    """Wall times at which something is due, s."""
+
+    tick: float = 0.0
+    clock: float = 0.0
+    markers: float = 0.0
+    idle_markers: float = 0.0
+    diagnostics: float = 0.0
+    pending: bool = field(default=False)
+
+
+class SimulatorCore:
+    """The simulator's behaviour.
+
+    Parameters
+    ----------
+    settings
+        May be changed between calls, except where the parameter table says read-only.
+    output
+        Takes live messages.
+    wall
+        Steady clock, s.
+
+    Raises
+    ------
+    RecordingError
+        If the recording asked for cannot be begun.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        output: Output,
+        wall: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.settings = settings
+        self.output = output
+        self.wall = wall
+        self.state = State.STOPPED
+        self.session: Session | None = None
+        self.error = ""
+        self.recorder: RunRecorder | None = None
+        self.manifest = Manifest()
+        self._recordings = 0
+        self._base = 0
+        self._sequence = 0
+        self._pace = _Pace(since=wall())
+        self._due = _Due()
+        self._stepping: _Stepping | None = None
+        self._markers_reset = False
+        self._markers_fresh = False
+        if settings.record:
+            self._begin_recording()
+
+    # --- where things stand ------------------------------------------------------------------
+
+    @property
+    def stamp(self) -> int:
+        """Simulation time, ns."""
+        return self.session.stamp if self.session else self._base
+
+    @property
+    def step(self) -> int:
+        """Accepted integration steps of the run."""
+        return self.session.step if self.session else 0
+
+    @property
+    def run_id(self) -> str:
+        """Identity of the run, "" without one."""
+        return self.session.context.run_id if self.session else ""
+
+    @property
+    def context(self) -> RunContext:
+        """What messages outside of a run carry."""
+        if self.session:
+            return self.session.context
+        return RunContext("", self._base, self.settings.frame_id)
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is a run and it has ended."""
+        return self.session is not None and self.session.finished
+
+    # --- messages ----------------------------------------------------------------------------
+
+    def _emit(self, topic: str, stamp: int, data: bytes) -> None:
+        self.output.publish(topic, data)
+        self._record(topic, stamp, data)
+
+    def _record(self, topic: str, stamp: int, data: bytes) -> None:
+        if self.recorder is None:
+            return
+        try:
+            self.recorder.write(absolute(topic, self.settings.namespace), stamp, data)
+        except RecordingError as error:
+            # The run is worth more than its recording: it goes on, loudly.
+            self.recorder = None
+            self.error = f"recording failed: {error}"
+            self.output.log(Level.ERROR, self.error)
+
+    def _begin_recording(self) -> None:
+        path = Path(self.settings.record)
+        if self._recordings:
+            path = path.with_name(f"{path.name}_{self._recordings}")
+        self.manifest = Manifest(
+            settings={
+                "state_rate": self.settings.state_rate,
+                "marker_rate": self.settings.marker_rate,
+                "frame_id": self.settings.frame_id,
+                "storage": self.settings.record_storage,
+            }
+        )
+        self.recorder = RunRecorder(
+            path, self.settings.record_storage, recorded_topics(self.settings.namespace)
+        )
+        self._recordings += 1
+
+    def _end_recording(self) -> None:
+        """Close the recording whole."""
+        if self.recorder is None:
+            return
+        self._enter_manifest()
+        try:
+            self.recorder.close(self.manifest)
+            self.output.log(Level.OK, f"recording closed: {self.recorder.path}")
+        except RecordingError as error:
+            self.error = f"recording failed: {error}"
+            self.output.log(Level.ERROR, self.error)
+        self.recorder = None
+
+    def _enter_manifest(self) -> None:
+        """Bring the present run's entry of the manifest up to date."""
+        if self.session is None:
+            return
+        entry = self.session.entry()
+        if self.manifest.runs and self.manifest.runs[-1].run_id == entry.run_id:
+            self.manifest.runs[-1] = entry
+        else:
+            self.manifest.runs.append(entry)
+
+    # --- requests ----------------------------------------------------------------------------
+
+    def _answer(
+        self,
+        command: str,
+        request: Mapping[str, Any],
+        caller: str,
+        success: bool,
+        message: str,
+        *,
+        time: float | None = None,
+        value: float = math.nan,
+    ) -> Answer:
+        """Log a command with its answer, and give the answer."""
+        context = self.context
+        if time is None:
+            time = self.session.time if self.session else 0.0
+        data = serialize(
+            reports.command_log(
+                context=context,
+                step=self.step,
+                time=time,
+                sequence=self._sequence,
+                command=command,
+                request=request,
+                caller=caller,
+                accepted=success,
+                answer=message,
+            )
+        )
+        self._sequence += 1
+        self._emit("command_log", self.stamp, data)
+        if not success:
+            self._pace.refused += 1
+            if self.session is not None:
+                self.session.refused.append(
+                    {
+                        "command": command,
+                        "request": dict(request),
+                        "reason": message,
+                        "step": self.step,
+                        "time": time,
+                    }
+                )
+            self.output.log(Level.WARN, f"{command} refused: {message}")
+        return Answer(success, message, context.stamp(time), self.step, self.run_id, value)
+
+    def prepare(self, name: str, text: str, speed_kmh: float = math.nan) -> Prepared:
+        """Read a scenario and make it ready; may be called from another thread.
+
+        Raises
+        ------
+        ValueError
+            With the reason why it is refused.
+        """
+        if bool(name) == bool(text):
+            raise ValueError("give either scenario_name or scenario_yaml")
+        if math.isinf(speed_kmh) or speed_kmh < 0.0:
+            raise ValueError("speed_kmh: must be a finite number above 0 (0 or NaN: as it is)")
+        if len(text.encode()) > MAX_YAML:
+            raise ValueError("scenario_yaml: over 256 KB")
+        dirs = self.settings.scenario_dirs
+        try:
+            scenario = (
+                loads_scenario(text, dirs=dirs) if text else load_scenario_by_name(name, dirs)
+            )
+            if scenario.n_cars > MAX_CARS:
+                raise ValueError(f"train: {scenario.n_cars} cars, at most {MAX_CARS} are allowed")
+            return prepare(scenario, speed_kmh)
+        except (ScenarioError, DerailError) as error:
+            raise ValueError(str(error)) from error
+
+    def load(
+        self,
+        prepared: Prepared | ValueError,
+        request: Mapping[str, Any],
+        *,
+        start_paused: bool,
+        caller: str = "",
+    ) -> Answer:
+        """Begin a run of a prepared scenario, or refuse with the error of its preparation."""
+        name = "load_consist"
+        if isinstance(prepared, ValueError):
+            return self._answer(name, request, caller, False, str(prepared))
+        self._begin(prepared, EventKind.RUN_LOADED)
+        self._go(State.PAUSED if start_paused else State.PLAYING)
+        cars = len(prepared.simulation.params.cars)
+        return self._answer(
+            name, request, caller, True, f"loaded {prepared.name}: {cars} cars, {self.run_id}"
+        )
+
+    def reset(self, mode: int, caller: str = "") -> Answer:
+        """Begin the loaded scenario again, in the same state; mode 1 sets time to zero too."""
+        name, request = "reset_simulation", {"mode": mode}
+        if mode not in (0, 1):
+            return self._answer(name, request, caller, False, f"mode: {mode} is none of 0, 1")
+        if self.session is None:
+            return self._answer(name, request, caller, False, "no run is loaded")
+        was = self.state
+        self._begin(self.session.prepared, EventKind.RUN_RESET, time_to_zero=mode == 1)
+        self._go(was)
+        return self._answer(name, request, caller, True, f"reset: run {self.run_id}")
+
+    def _begin(self, prepared: Prepared, kind: EventKind, *, time_to_zero: bool = False) -> None:
+        self._interrupt("a new run began")
+        if self.session is not None:
+            self.session.stop()
+            self._enter_manifest()
+            # Never the same stamp twice: the new run begins a tick after the old one.
+            self._base = self.session.context.stamp(self.session.time + self.session.tick_length)
+        if time_to_zero:
+            self._base = 0
+            if self.recorder is not None:
+                self._end_recording()
+                try:
+                    self._begin_recording()
+                except RecordingError as error:
+                    self.error = str(error)
+                    self.output.log(Level.ERROR, self.error)
+        self.output.begin_run()
+        settings = self.settings
+        recording = self.recorder is not None
+        self.session = Session(
+            prepared,
+            self._emit,
+            base=self._base,
+            frame_id=settings.frame_id,
+            kind=kind,
+            rates=Rates(settings.state_rate, settings.marker_rate if recording else 0.0),
+            record_markers=self._record if recording else None,
+        )
+        if not self.error.startswith("recording"):
+            self.error = ""
+        self._enter_manifest()
+        if self.recorder is not None:
+            self.recorder.write_manifest(self.manifest, self._base)
+        self._markers_reset = self._markers_fresh = True
+        self._due.tick = self.wall() + self.session.tick_length / max(settings.speed_factor, 1e-9)
+        self.session.begin()
+        self.output.log(Level.OK, f"run {self.run_id} of {prepared.name} begins")
+
+    def inject_rail_break(self, coordinate: float, car: int, caller: str = "") -> Answer:
+        """Open a break at a track coordinate (m), or just ahead of a car if one is given."""
+        request = {"track_coordinate": coordinate, "car": car}
+        arguments: dict[str, Any]
+        if car:
+            arguments = {"car": int(car)}
+        elif math.isfinite(coordinate):
+            arguments = {"coordinate": float(coordinate)}
+        else:
+            return self._answer(
+                "inject_rail_break",
+                request,
+                caller,
+                False,
+                f"track_coordinate: {coordinate} is not a finite number",
+            )
+        return self._command("inject_rail_break", request, caller, arguments)
+
+    def trigger_emergency_brake(
+        self, mode: int, source: int, car: int, delay: float, caller: str = ""
+    ) -> Answer:
+        """Make an emergency application."""
+        request = {"mode": mode, "source": source, "car": car, "delay_s": delay}
+        reason = ""
+        if not 0 <= mode < len(BRAKE_MODES):
+            reason = f"mode: {mode} is none of 0 to {len(BRAKE_MODES) - 1}"
+        elif not 0 <= source < len(BRAKE_SOURCES):
+            reason = f"source: {source} is none of 0 to {len(BRAKE_SOURCES) - 1}"
+        elif not math.isfinite(delay) or delay < 0.0:
+            reason = f"delay_s: {delay} is not a finite number from 0 up"
+        elif car and BRAKE_SOURCES[source] != "car":
+            reason = f"car: {car} goes only with source {BRAKE_SOURCES.index('car')} (car)"
+        if reason:
+            return self._answer("trigger_emergency_brake", request, caller, False, reason)
+        return self._command(
+            "trigger_emergency_brake",
+            request,
+            caller,
+            {
+                "mode": BRAKE_MODES[mode],
+                "source": BRAKE_SOURCES[source],
+                "car": int(car),
+                "delay": float(delay),
+            },
+        )
+
+    def _command(
+        self, name: str, request: Mapping[str, Any], caller: str, arguments: dict[str, Any]
+    ) -> Answer:
+        session = self.session
+        if session is None:
+            return self._answer(name, request, caller, False, "no run is loaded")
+        # Requests are served between steps: this is the next step boundary.
+        moment = float(session.simulation.time)
+        try:
+            result = session.command(name, **arguments)
+        except CommandError as error:
+            return self._answer(name, request, caller, False, str(error), time=moment)
+        value = float(result) if isinstance(result, float) else math.nan
+        done = f"rail break at {value:.3f} m" if math.isfinite(value) else "applied"
+        return self._answer(name, request, caller, True, done, time=moment, value=value)
+
+    def set_state(self, wanted: int, caller: str = "") -> Answer:
+        """Go to a state; being there already is a success."""
+        name, request = "set_simulation_state", {"state": wanted}
+        try:
+            state = State(wanted)
+        except ValueError:
+            reason = f"state: {wanted} is none of 0 to {len(State) - 1}"
+            return self._answer(name, request, caller, False, reason)
+        if state == self.state:
+            return self._answer(name, request, caller, True, f"already {state.name.lower()}")
+        reason = self._refusal(state)
+        if reason:
+            return self._answer(name, request, caller, False, reason)
+        self._interrupt(f"the state became {state.name.lower()}")
+        session = self.session
+        if state == State.STOPPED and session is not None and session.begun:
+            self._begin(session.prepared, EventKind.RUN_RESET)
+        self._go(state)
+        return self._answer(name, request, caller, True, f"now {state.name.lower()}")
+
+    def _refusal(self, state: State) -> str:
+        if state == State.QUITTING:
+            return "" if self.settings.allow_quit else "the parameter allow_quit is false"
+        if self.session is None:
+            return "no run is loaded"
+        if state == State.PLAYING and self.session.failure:
+            return "the run has failed: reset it or load another"
+        if state == State.PLAYING and self.session.finished:
+            return "the run has ended: reset it or load another"
+        return ""
+
+    def step_simulation(
+        self, ticks: int, done: Callable[[Answer], None], caller: str = ""
+    ) -> None:
+        """Advance a paused simulation; ``done`` gets the answer when the ticks are done."""
+        name, request = "step_simulation", {"ticks": ticks}
+        reason = ""
+        if self.session is None:
+            reason = "no run is loaded"
+        elif self.state != State.PAUSED:
+            reason = f"not paused but {self.state.name.lower()}"
+        elif ticks < 1:
+            reason = "ticks: must be at least 1"
+        elif self._stepping is not None:
+            reason = "another step_simulation is under way"
+        elif self.session.finished:
+            reason = "the run has ended: reset it or load another"
+        if reason:
+            done(self._answer(name, request, caller, False, reason))
+            return
+        self._stepping = _Stepping(ticks, ticks, caller, done)
+
+    def _interrupt(self, why: str) -> None:
+        """Answer a request for ticks that cannot be carried out to its end."""
+        self._stepped(why)
+
+    def _stepped(self, why: str = "") -> None:
+        stepping, self._stepping = self._stepping, None
+        if stepping is None:
+            return
+        made = stepping.asked - stepping.left
+        message = f"{made} of {stepping.asked} ticks done"
+        if why:
+            message += f": {why}"
+        request = {"ticks": stepping.asked}
+        stepping.done(
+            self._answer("step_simulation", request, stepping.caller, stepping.left == 0, message)
+        )
+
+    def _go(self, state: State) -> None:
+        self.state = state
+        now = self.wall()
+        if state == State.PLAYING and self.session is not None:
+            factor = self.settings.speed_factor
+            self._due.tick = now + (self.session.tick_length / factor if factor > 0.0 else 0.0)
+
+    def pace_changed(self) -> None:
+        """Take up a new speed factor or rate."""
+        now = self.wall()
+        self._go(self.state)
+        self._due.clock = min(self._due.clock, now)
+        self._due.markers = min(self._due.markers, now)
+
+    # --- the loop ----------------------------------------------------------------------------
+
+    def work(self) -> float:
+        """Do what is due, for about a slice at most.
+
+        Returns
+        -------
+        float
+            Wall time (s) until which nothing is due; a time past means there is more to do.
+        """
+        now = self.wall()
+        settings = self.settings
+        active = self.state == State.PLAYING or self._stepping is not None
+        if active:
+            # Computed before anything is sent: what is due in this slice is then sent fresh.
+            self._work_ticks(now)
+            now = self.wall()
+            active = self.state == State.PLAYING or self._stepping is not None
+        next_time = now + IDLE
+        if settings.publish_clock:
+            next_time = min(next_time, self._work_clock(now))
+        next_time = min(next_time, self._work_markers(now))
+        if now >= self._due.diagnostics:
+            self._due.diagnostics = now + 1.0
+            self._diagnose(now)
+        next_time = min(next_time, self._due.diagnostics)
+        if active:
+            free = self._stepping is not None or settings.speed_factor <= 0.0
+            next_time = min(next_time, now if free or self._due.pending else self._due.tick)
+        return next_time
+
+    def _work_ticks(self, now: float) -> None:
+        """Advance the run by what is due within a slice."""
+        session = self.session
+        if session is None:
+            return
+        end = now + SLICE
+        while True:
+            factor = self.settings.speed_factor
+            paced = self._stepping is None and factor > 0.0
+            if paced and now < self._due.tick:
+                break
+            before = session.time
+            try:
+                reached = session.advance(max(end - now, 0.0))
+            except SimulationError as error:
+                self._failed(session, error)
+                return
+            now = self.wall()
+            self._due.pending = not reached
+            if reached:
+                self._markers_fresh = True
+                self._pace.simulated += session.time - before
+                if paced:
+                    period = session.tick_length / factor
+                    self._due.tick += period
+                    if now - self._due.tick > max(SLACK, 0.5 * period):
+                        # Too slow: the run falls behind and stays behind, it never rushes.
+                        self._due.tick = now
+                        self._pace.overruns += 1
+                if self._stepping is not None:
+                    self._stepping.left -= 1
+                if session.finished:
+                    self._ended(session)
+                    return
+                if self._stepping is not None and self._stepping.left == 0:
+                    self._stepped()
+                    return
+            if now >= end:
+                break
+
+    def _ended(self, session: Session) -> None:
+        self._go(State.PAUSED)
+        if self._stepping is not None and self._stepping.left:
+            self._stepped("the run has ended")
+        self._stepped()
+        self._enter_manifest()
+        self.output.log(Level.OK, f"run {self.run_id} has ended: {session.status}")
+
+    def _failed(self, session: Session, error: SimulationError) -> None:
+        self._go(State.PAUSED)
+        place = self._save_state(session)
+        self.error = f"{session.failure} (state saved to {place})"
+        self._stepped("the run failed")
+        self._enter_manifest()
+        self.output.log(Level.ERROR, f"run {self.run_id} failed: {self.error}")
+
+    def _save_state(self, session: Session) -> str:
+        """Save the state at the last accepted step, for whoever wants to know why it failed."""
+        name = f"failed-{session.context.run_id}.state"
+        last = ""
+        for folder in (
+            Path(self.settings.state_dir or state_folder()),
+            Path(tempfile.gettempdir()),
+        ):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(session.simulation.to_bytes())
+                return str(folder / name)
+            except OSError as error:
+                last = str(error)
+        return f"nowhere: {last}"
+
+    def _work_clock(self, now: float) -> float:
+        if now >= self._due.clock:
+            self.output.publish("/clock", serialize(reports.clock(self.stamp)))
+            period = 1.0 / self.settings.clock_rate
+            self._due.clock += period
+            if self._due.clock < now:
+                self._due.clock = now + period
+        return self._due.clock
+
+    def _work_markers(self, now: float) -> float:
+        """Send markers when there are new ones, and now and then for those who come late."""
+        rate = self.settings.marker_rate
+        if rate <= 0.0 or self.session is None:
+            return math.inf
+        if now >= self._due.markers and (self._markers_fresh or now >= self._due.idle_markers):
+            self.output.publish("markers", self.session.markers(reset=self._markers_reset))
+            self._markers_reset = self._markers_fresh = False
+            self._due.markers = max(self._due.markers + 1.0 / rate, now)
+            self._due.idle_markers = now + IDLE_MARKERS
+        return self._due.markers if self._markers_fresh else self._due.idle_markers
+
+    # --- diagnostics -------------------------------------------------------------------------
+
+    def _diagnose(self, now: float) -> None:
+        pace, settings, session = self._pace, self.settings, self.session
+        elapsed = max(now - pace.since, 1e-9)
+        pace.factor = pace.simulated / elapsed
+        asked = settings.speed_factor
+        steps = self.step - pace.steps
+        if steps > 0 and pace.simulated > 0.0:
+            pace.step_size = pace.simulated / steps
+        level, message = Level.OK, self.state.name.lower()
+        slow = pace.factor < 0.95 * asked
+        if session is None:
+            message = "no run is loaded"
+        elif session.finished:
+            message = f"run has ended: {session.status}"
+        elif self.state == State.PLAYING and asked > 0.0 and pace.playing > 0.0 and slow:
+            level = Level.WARN
+            message = f"slower than asked: {pace.factor:.2f} instead of {asked:g}"
+        if self.error:
+            level, message = Level.ERROR, self.error
+        pace.playing = elapsed if self.state == State.PLAYING else 0.0
+        values: dict[str, Any] = {
+            "state": self.state.name.lower(),
+            "real_time_factor_asked": asked,
+            "real_time_factor": pace.factor,
+            "overruns": pace.overruns,
+            "refused_commands": pace.refused,
+            "state_rate": settings.state_rate if session is None else session.rates.state,
+            "simulation_time": self.stamp / 1e9,
+            "recording": str(self.recorder.path) if self.recorder else "",
+        }
+        if session is not None:
+            outcome = session.simulation.outcome()
+            values |= {
+                "run_id": self.run_id,
+                "scenario": session.prepared.name,
+                "run_time": session.time,
+                "status": session.status,
+                "cars": len(session.params.cars),
+                "cars_derailed": len(outcome.derailed_cars),
+                "steps": self.step,
+                "rejected_steps": outcome.rejected_steps,
+                "mean_step_size": pace.step_size,
+                "max_coupler_gap": outcome.max_coupler_gap,
+                "max_truck_offset": outcome.max_truck_offset,
+                "energy_residual_relative": outcome.energy_residual,
+            }
+        pace.since, pace.simulated, pace.steps = now, 0.0, self.step
+        self.output.publish(
+            "/diagnostics",
+            serialize(
+                reports.diagnostics(
+                    self.stamp,
+                    f"{settings.name}: simulation",
+                    level,
+                    message,
+                    values,
+                    "derail_ros",
+                )
+            ),
+        )
+
+    # --- the end -----------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """End the run and close the recording whole."""
+        self._interrupt("the simulator ends")
+        if self.session is not None:
+            self.session.stop()
+        self._end_recording()
+        self.state = State.QUITTING
+
+
+def state_folder() -> str:
+    """Folder for what is kept about a failure, unless another is given."""
+    base = os.environ.get("XDG_STATE_HOME") or os.path.join(
+        os.path.expanduser("~"), ".local", "state"
+    )
+    return os.path.join(base, "derail_ros")

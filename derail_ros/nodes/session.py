@@ -1,0 +1,441 @@
+"""One run and the messages about it: no ROS graph, no wall clock, no physics.
+
+A session advances a simulation tick by tick (1 tick = 1/state_rate of simulation time), in slices
+of wall time, and gives out the messages of each tick in the order of their stamps. The node
+publishes them and a recording keeps them; both get the same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import derail_ros
+from derail_ros.engine import Simulation
+from derail_ros.engine.errors import CommandError, SimulationError
+from derail_ros.engine.events import Event, EventKind
+from derail_ros.engine.sample import Sample
+from derail_ros.recording.manifest import RunEntry
+from msg_adapters import reports
+from msg_adapters.common import RunContext
+from msg_adapters.definitions import serialize
+from msg_adapters.markers import MarkerEncoder, track_markers
+from msg_adapters.state import StateEncoder
+
+Emit = Callable[[str, int, bytes], None]
+"""Takes a topic's name, the moment in simulation time (ns) and the message's bytes."""
+
+OUTCOME_EVERY = 1.0
+"""Simulation time between two outcomes, s."""
+GRAIN = 1e-9
+"""Times closer than this are the same, s."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scenario made ready to run; building it takes long, starting it does not.
+
+    Attributes
+    ----------
+    name, hash : of the scenario
+    yaml, resolved : the scenario with all defaults filled in, as text and as plain data
+    simulation : at the start, never advanced: runs are copies of it
+    car_types : type of rolling stock of each car, "" where it was given by its numbers
+    """
+
+    name: str
+    hash: str
+    yaml: str
+    resolved: dict[str, Any]
+    simulation: Any
+    car_types: tuple[str, ...] = ()
+
+
+def prepare(scenario: Any, speed_kmh: float = math.nan) -> Prepared:
+    """Make a scenario ready to run, at another speed if one is given.
+
+    Raises
+    ------
+    ScenarioError, ParameterError
+        If it cannot be run.
+    """
+    if math.isfinite(speed_kmh) and speed_kmh != 0.0:
+        scenario = scenario.with_overrides({"train.speed_kmh": float(speed_kmh)})
+    return prepared_of(scenario, Simulation(scenario.to_params()))
+
+
+def prepared_of(scenario: Any, simulation: Any) -> Prepared:
+    """A scenario with the simulation that was built from it."""
+    types = [block.car or "" for block in scenario.model.train.consist for _ in range(block.count)]
+    bodies = len(simulation.params.cars)
+    return Prepared(
+        name=scenario.name,
+        hash=f"sha256:{scenario.hash}",
+        yaml=scenario.to_yaml(),
+        resolved=scenario.resolved(),
+        simulation=simulation,
+        car_types=tuple(types[:bodies]),
+    )
+
+
+@dataclass
+class Rates:
+    """Rates of a run in simulation time, Hz. Rate 0: no such messages."""
+
+    state: float = 50.0
+    recorded_markers: float = 0.0
+
+
+@dataclass
+class _Published:
+    """What of the engine's lists has been given out."""
+
+    events: int = 0
+    sequence: int = 0
+    outcome_at: float = 0.0
+    messages: list[bytes] = field(default_factory=list)
+
+
+class Session:
+    """One run.
+
+    Parameters
+    ----------
+    prepared
+        The scenario.
+    emit
+        Takes the messages.
+    base
+        Simulation time at which the run begins, ns.
+    kind
+        ``RUN_LOADED`` or ``RUN_RESET``: the first event of the run.
+    rates
+        Ticks a second and markers a second.
+    record_markers
+        Takes the markers at ``rates.recorded_markers`` of simulation time.
+    simulation
+        What to run instead of a copy of ``prepared.simulation``.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        emit: Emit,
+        *,
+        base: int = 0,
+        frame_id: str = "map",
+        kind: EventKind = EventKind.RUN_LOADED,
+        rates: Rates | None = None,
+        record_markers: Emit | None = None,
+        simulation: Any = None,
+    ) -> None:
+        self.prepared = prepared
+        self.simulation = prepared.simulation.copy() if simulation is None else simulation
+        self.params = self.simulation.params
+        self.context = RunContext(uuid.uuid4().hex, base, frame_id)
+        self.rates = rates or Rates()
+        self.tick = 0
+        self.finished = False
+        self.failure = ""
+        self.stopped = False
+        self.sample: Sample = self.simulation.sample()
+        self.car_peak: NDArray[np.float64] = np.zeros(len(self.params.cars))
+        self.refused: list[dict[str, Any]] = []
+        self._kind = kind
+        self._emit = emit
+        self._record_markers = record_markers
+        self._markers_recorded = 0
+        self._encoder = StateEncoder(self.params, self.context)
+        self._markers = MarkerEncoder(self.params, self.context)
+        self._done = _Published()
+        self._log_stamp = base
+        self._breaks: list[tuple[float, float]] = []
+        self._collisions: list[Any] = []
+
+    # --- time --------------------------------------------------------------------------------
+
+    @property
+    def tick_length(self) -> float:
+        """Simulation time of a tick, s."""
+        return 1.0 / self.rates.state
+
+    @property
+    def time(self) -> float:
+        """Run time of the last tick given out, s."""
+        return self.tick / self.rates.state
+
+    @property
+    def stamp(self) -> int:
+        """Simulation time of the last tick given out, ns."""
+        return self.context.stamp(self.time)
+
+    @property
+    def begun(self) -> bool:
+        """Whether the run has left its start."""
+        return self.tick > 0 or self.simulation.step_count > 0 or bool(self.simulation.commands)
+
+    @property
+    def step(self) -> int:
+        """Accepted integration steps."""
+        return int(self.simulation.step_count)
+
+    @property
+    def event_messages(self) -> list[bytes]:
+        """All events given out so far, as CDR bytes of ``derail_msgs/TrainEvent``."""
+        return self._done.messages
+
+    # --- messages ----------------------------------------------------------------------------
+
+    def _out(self, topic: str, message: Any, stamp: int) -> None:
+        data = message if isinstance(message, bytes) else serialize(message)
+        # A recording is in order of time, though a peak is known only after it has passed.
+        self._log_stamp = max(self._log_stamp, stamp)
+        self._emit(topic, self._log_stamp, data)
+
+    def begin(self) -> None:
+        """Give out what is known at the start: train, track, first events and state."""
+        params, context, prepared = self.params, self.context, self.prepared
+        self._out(
+            "consist",
+            reports.consist(
+                params,
+                context,
+                name=prepared.name,
+                scenario_hash=prepared.hash,
+                scenario_yaml=prepared.yaml,
+                software_version=derail_ros.__version__,
+                engine_hash=engine_hash(),
+                car_types=prepared.car_types,
+            ),
+            context.base,
+        )
+        coordinates = reports.track_coordinates(
+            self.simulation.track, self.sample.truck_coordinate
+        )
+        self._line = coordinates
+        self._breaks = [(float(s), 0.0) for s in self.simulation.rail_breaks]
+        self._out_track(0.0)
+        self._out_event(
+            Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{len(params.cars)} cars")
+        )
+        self._out_tick(self.sample, reset=True)
+
+    def _out_track(self, time: float) -> None:
+        stamp = self.context.stamp(time)
+        message = reports.track(
+            self.simulation.track, self._line, self._breaks, self.context, time
+        )
+        self._out("track", message, stamp)
+        self._out("track_markers", track_markers(message, self.context, time), stamp)
+
+    def _out_event(self, event: Event) -> None:
+        message = reports.train_event(event, self._done.sequence, self.context)
+        data = serialize(message)
+        self._done.sequence += 1
+        self._done.messages.append(data)
+        self._out("events", data, self.context.stamp(event.time))
+        if event.kind == EventKind.RAIL_BREAK_SET:
+            place = float(event.track_coordinate)
+            if place not in [s for s, _ in self._breaks]:
+                self._breaks.append((place, float(event.time)))
+                self._out_track(event.time)
+
+    def _out_happenings(self, until: float) -> None:
+        """Give out the events and contacts up to a moment, in the order of their times."""
+        self._collisions += self.simulation.new_collisions()
+        for contact in self._collisions:
+            for car in (contact.car_a, contact.car_b):
+                self.car_peak[car - 1] = max(self.car_peak[car - 1], contact.peak_corner_force)
+        due: list[tuple[float, int, Any]] = []
+        events = self.simulation.events
+        while self._done.events < len(events):
+            event = events[self._done.events]
+            if event.time > until + GRAIN:
+                break
+            self._done.events += 1
+            if event.kind not in (EventKind.RUN_LOADED, EventKind.RUN_RESET):
+                due.append((event.time, 0, event))
+        later = []
+        for contact in self._collisions:
+            moment = contact.end if contact.final else contact.peak_time
+            if moment > until + GRAIN:
+                later.append(contact)
+            else:
+                due.append((moment, 1, contact))
+        self._collisions = later
+        for moment, what, item in sorted(due, key=lambda entry: entry[:2]):
+            if what == 0:
+                self._out_event(item)
+            else:
+                message = reports.collision(item, self.step, self.context)
+                self._out("collisions", message, self.context.stamp(moment))
+
+    def _out_tick(self, sample: Sample, *, reset: bool = False) -> None:
+        """Give out everything that belongs to a tick."""
+        self.sample = sample
+        self._out_happenings(sample.time)
+        stamp = self.context.stamp(sample.time)
+        for topic, data in self._encoder.encode(sample):
+            self._out(topic, data, stamp)
+        if self._record_markers is not None and self.rates.recorded_markers > 0.0:
+            due = self._markers_recorded / self.rates.recorded_markers
+            if sample.time + GRAIN >= due:
+                self._record_markers("markers", stamp, self.markers(reset=reset))
+                self._markers_recorded = (
+                    math.floor((sample.time + GRAIN) * self.rates.recorded_markers) + 1
+                )
+        if sample.time + GRAIN >= self._done.outcome_at:
+            self._done.outcome_at = math.floor(sample.time + GRAIN) + OUTCOME_EVERY
+            self._out_outcome(sample.time)
+
+    def _out_outcome(self, time: float, status: str = "") -> None:
+        message = self.outcome_message(time, status)
+        self._out("outcome", message, self.context.stamp(time))
+
+    def outcome_message(self, time: float, status: str = "") -> Any:
+        """``derail_msgs/Outcome`` at a run time (s)."""
+        return reports.outcome(
+            self.simulation.outcome(),
+            self.context,
+            time=time,
+            step=self.step,
+            status=status,
+            coordinates=self.sample.truck_coordinate,
+        )
+
+    def markers(self, *, reset: bool = False) -> bytes:
+        """``MarkerArray`` of the last tick; ``reset`` clears what was shown before."""
+        return self._markers(self.sample, self.car_peak, reset=reset)
+
+    # --- advancing ---------------------------------------------------------------------------
+
+    def advance(self, budget: float = math.inf) -> bool:
+        """Compute towards the next tick for at most about ``budget`` seconds of wall time.
+
+        Gives the tick out when it is reached. The engine takes its own steps: neither ticks nor
+        slices change what it computes.
+
+        Returns
+        -------
+        bool
+            Whether the tick was reached.
+
+        Raises
+        ------
+        SimulationError
+            If the computation failed; the run has been ended as failed.
+        """
+        simulation = self.simulation
+        target = (self.tick + 1) / self.rates.state
+        try:
+            if math.isinf(budget):
+                simulation.advance_to(target)
+            else:
+                end = time.perf_counter() + budget
+                while simulation.time < target and not simulation.ended:
+                    simulation.advance_steps(1)
+                    if time.perf_counter() >= end:
+                        break
+        except SimulationError as error:
+            self.fail(error)
+            raise
+        if simulation.time < target and not simulation.ended:
+            return False
+        self.tick += 1
+        sample = simulation.sample(self.time)
+        if sample.time != self.time:
+            sample = dataclasses.replace(sample, time=self.time)
+        self._out_tick(sample)
+        if simulation.ended and self.time + GRAIN >= simulation.time:
+            self._finish()
+        return True
+
+    def _finish(self) -> None:
+        """Give out the end of the run."""
+        simulation = self.simulation
+        self._out_happenings(math.inf)
+        if not any(e.kind in (EventKind.RUN_ENDED, EventKind.RUN_VOID) for e in simulation.events):
+            kind = EventKind.RUN_VOID if simulation.outcome().void else EventKind.RUN_ENDED
+            self._out_event(Event(kind, simulation.time, self.step, cause=simulation.status))
+        self._out_outcome(self.time)
+        self.finished = True
+
+    def fail(self, error: Exception) -> None:
+        """End the run as failed, with all that happened up to the last accepted step."""
+        self.failure = f"{type(error).__name__}: {error}"
+        self._out_happenings(math.inf)
+        moment = float(self.simulation.time)
+        if not any(event.kind == EventKind.RUN_FAILED for event in self.simulation.events):
+            self._out_event(Event(EventKind.RUN_FAILED, moment, self.step, cause=str(error)))
+        self._out_outcome(moment, "failed")
+        self.finished = True
+
+    def stop(self) -> None:
+        """End a run that something else takes the place of."""
+        if self.finished or not self.begun:
+            return
+        self._out_happenings(self.time)
+        self._out_event(Event(EventKind.RUN_ENDED, self.time, self.step, cause="command"))
+        self._out_outcome(self.time, "stopped")
+        self.finished = self.stopped = True
+
+    # --- commands ----------------------------------------------------------------------------
+
+    def command(self, name: str, **arguments: Any) -> Any:
+        """Apply a command at the present step boundary.
+
+        Raises
+        ------
+        CommandError
+            If it was refused; the run goes on as if it had not been given.
+        """
+        if self.finished or self.simulation.ended:
+            raise CommandError("run", "it has ended")
+        result = getattr(self.simulation, name)(**arguments)
+        # What it did is told at once, also while paused.
+        self._out_happenings(self.simulation.time)
+        return result
+
+    # --- manifest ----------------------------------------------------------------------------
+
+    @property
+    def status(self) -> str:
+        """How the run stands, in words."""
+        if self.failure:
+            return "failed"
+        return "stopped" if self.stopped else str(self.simulation.status)
+
+    def entry(self) -> RunEntry:
+        """What a manifest says of this run."""
+        simulation = self.simulation
+        outcome = dataclasses.asdict(simulation.outcome())
+        outcome["status"] = self.status
+        return RunEntry(
+            run_id=self.context.run_id,
+            scenario_name=self.prepared.name,
+            scenario_hash=self.prepared.hash,
+            scenario=self.prepared.resolved,
+            start_time=self.context.base,
+            commands=[dataclasses.asdict(command) for command in simulation.commands],
+            refused=list(self.refused),
+            status=self.status,
+            time=float(simulation.time),
+            steps=self.step,
+            final_state_hash=simulation.state_hash(),
+            outcome=outcome,
+        )
+
+
+def engine_hash() -> str:
+    """Hash of the engine's sources and of what compiles them."""
+    from derail_ros.engine.jit import source_hash
+
+    return source_hash()

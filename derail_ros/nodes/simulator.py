@@ -1,0 +1,454 @@
+"""The node ``simulator``: :class:`derail_ros.nodes.core.SimulatorCore` on a ROS 2 graph.
+
+One thread does everything: a slice of physics, then a request if there is one. Requests are thus
+served between steps, and no lock is needed. Only scenarios are read and built in a thread of
+their own.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import derail_ros
+from derail_ros.nodes import parameters as table
+from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
+from derail_ros.nodes.process import Stop, run_node
+from derail_ros.nodes.session import Prepared
+from msg_adapters.common import NANOSECONDS
+from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
+
+CLOCK_GRACE = 0.6
+"""Wall time in which another publisher of the clock may show itself, s."""
+CLOCK_PROBATION = 5.0
+"""Wall time in which one of two that began together gives way, s."""
+MATCH_WAIT = 1.0
+"""Wall time for which a new run's first events wait for their subscribers, s."""
+EXIT_WAIT = 2.0
+"""Wall time for which the end waits until everything has arrived, s."""
+
+
+@dataclass
+class _Channel:
+    """A publisher; and, of a topic that begins anew with each run, the one before it."""
+
+    topic: Topic
+    publisher: Any
+    retired: list[tuple[Any, float]] = field(default_factory=list)
+    waiting: list[bytes] = field(default_factory=list)
+    expected: int = 0
+    until: float = 0.0
+
+
+class NodeOutput:
+    """Publishes the core's messages; they come serialised, as they go into a recording."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.channels = {
+            name: _Channel(topic, self._publisher(topic))
+            for name, topic in TOPICS.items()
+            if name != "/clock"
+        }
+
+    def _publisher(self, topic: Topic) -> Any:
+        return self.node.create_publisher(rclpy_class(topic.msgtype), topic.name, rclpy_qos(topic))
+
+    def open_clock(self) -> None:
+        """Begin to publish the clock."""
+        self.channels["/clock"] = _Channel(TOPICS["/clock"], self._publisher(TOPICS["/clock"]))
+
+    def close_clock(self) -> None:
+        """Stop publishing the clock."""
+        channel = self.channels.pop("/clock", None)
+        if channel is not None:
+            self.node.destroy_publisher(channel.publisher)
+
+    def publish(self, topic: str, data: bytes) -> None:
+        """Send a message."""
+        channel = self.channels.get(topic)
+        if channel is None:
+            return
+        if channel.waiting or channel.until:
+            channel.waiting.append(data)
+            self._release(channel)
+        else:
+            channel.publisher.publish(data)
+
+    def begin_run(self) -> None:
+        """Begin events and contacts anew: who comes late gets those of the present run only.
+
+        The new publisher waits until it has matched as many subscribers as the old one had.
+        """
+        for name in ("events", "collisions"):
+            channel = self.channels[name]
+            old = channel.publisher
+            for data in channel.waiting:
+                old.publish(data)
+            channel.waiting.clear()
+            channel.expected = old.get_subscription_count()
+            channel.publisher = self._publisher(channel.topic)
+            channel.until = time.monotonic() + MATCH_WAIT
+            channel.retired.append((old, channel.until))
+
+    def pump(self) -> bool:
+        """Release what waits; whether anything still does."""
+        busy = False
+        for channel in self.channels.values():
+            if channel.until:
+                self._release(channel)
+            if channel.retired:
+                channel.retired = [entry for entry in channel.retired if not self._retire(*entry)]
+            busy = busy or bool(channel.until) or bool(channel.retired)
+        return busy
+
+    def _release(self, channel: _Channel) -> None:
+        matched = channel.publisher.get_subscription_count() >= channel.expected
+        if matched or time.monotonic() >= channel.until:
+            channel.until = 0.0
+            for data in channel.waiting:
+                channel.publisher.publish(data)
+            channel.waiting.clear()
+
+    def _retire(self, publisher: Any, until: float) -> bool:
+        """Destroy the publisher of an old run once everything has arrived."""
+        if time.monotonic() < until and not _acknowledged(publisher, 0.0):
+            return False
+        self.node.destroy_publisher(publisher)
+        return True
+
+    def settle(self, seconds: float) -> None:
+        """Wait until everything sent has arrived, for at most so long."""
+        end = time.monotonic() + seconds
+        while self.pump() and time.monotonic() < end:
+            time.sleep(0.01)
+        for channel in self.channels.values():
+            if channel.topic.name not in ("/clock", "/diagnostics", "markers"):
+                _acknowledged(channel.publisher, max(0.0, end - time.monotonic()))
+
+    def log(self, level: Level, text: str) -> None:
+        """Tell the user."""
+        logger = self.node.get_logger()
+        {Level.OK: logger.info, Level.WARN: logger.warning, Level.ERROR: logger.error}[level](text)
+
+
+def _acknowledged(publisher: Any, seconds: float) -> bool:
+    """Whether all subscribers have got everything, waiting at most so long."""
+    from rclpy.duration import Duration
+
+    return bool(publisher.wait_for_all_acked(Duration(nanoseconds=int(seconds * NANOSECONDS))))
+
+
+class ClockGuard:
+    """Decides whether this node may publish ``/clock``: never as the second one."""
+
+    def __init__(self, node: Any, output: NodeOutput, wanted: bool) -> None:
+        self.node = node
+        self.output = output
+        self.publishing = False
+        self.decided = not wanted
+        self.began = time.monotonic()
+        self.looked = self.began
+
+    def look(self) -> None:
+        """Look around, a few times a second."""
+        now = time.monotonic()
+        if self.decided or now < self.looked + 0.1:
+            return
+        self.looked = now
+        others = self.node.count_publishers("/clock") - int(self.publishing)
+        if others > 0 and (not self.publishing or self._gives_way()):
+            self.output.close_clock()
+            self.publishing, self.decided = False, True
+            self.node.get_logger().warning(
+                "another node publishes /clock: this one does not (parameter publish_clock)"
+            )
+        elif not self.publishing and now > self.began + CLOCK_GRACE:
+            self.output.open_clock()
+            self.publishing = True
+        elif now > self.began + CLOCK_PROBATION:
+            self.decided = True
+
+    def _gives_way(self) -> bool:
+        """Of two that began at the same time the one with the larger identity gives way."""
+        mine, others = [], []
+        for info in self.node.get_publishers_info_by_topic("/clock"):
+            own = (info.node_name, info.node_namespace) == (
+                self.node.get_name(),
+                self.node.get_namespace(),
+            )
+            (mine if own else others).append(bytes(info.endpoint_gid))
+        return bool(mine and others) and min(mine) > min(others)
+
+
+def make_node_class() -> Any:
+    """The node's class; made when it is needed, so that this module imports without ROS."""
+    import rclpy.node
+    from derail_msgs.srv import (
+        GetEvents,
+        InjectRailBreak,
+        LoadConsist,
+        ResetSimulation,
+        SetSimulationState,
+        StepSimulation,
+        TriggerEmergencyBrake,
+    )
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.task import Future
+
+    class SimulatorNode(rclpy.node.Node):  # type: ignore[misc]
+        """Services, parameters and topics around the core."""
+
+        def __init__(self, wake: Callable[[], None]) -> None:
+            super().__init__("simulator")
+            values = table.declare(self, table.SIMULATOR)
+            self.auto_exit = bool(values["auto_exit"])
+            self.output = NodeOutput(self)
+            self.core = SimulatorCore(self._settings(values), self.output)
+            self.guard = ClockGuard(self, self.output, bool(values["publish_clock"]))
+            self._wake = wake
+            self._pool = concurrent.futures.ThreadPoolExecutor(1, "scenario")
+            self._loads: list[tuple[concurrent.futures.Future[Any], Any]] = []
+            self._prepared: Prepared | None = None
+            self._events: list[Any] = []
+            self._events_of = ""
+            if values["scenario"]:
+                self._first_load(str(values["scenario"]), bool(values["start_paused"]))
+            self.add_on_set_parameters_callback(self._check_parameters)
+            self.add_post_set_parameters_callback(self._apply_parameters)
+            for name, kind, callback in (
+                ("load_consist", LoadConsist, self._load_consist),
+                ("inject_rail_break", InjectRailBreak, self._inject_rail_break),
+                ("trigger_emergency_brake", TriggerEmergencyBrake, self._trigger_brake),
+                ("set_simulation_state", SetSimulationState, self._set_state),
+                ("step_simulation", StepSimulation, self._step),
+                ("reset_simulation", ResetSimulation, self._reset),
+                ("get_events", GetEvents, self._get_events),
+            ):
+                self.create_service(kind, f"~/{name}", callback)
+
+        def _settings(self, values: dict[str, Any]) -> Settings:
+            return Settings(
+                scenario_dirs=tuple(values["scenario_dirs"]),
+                speed_factor=values["speed_factor"],
+                state_rate=values["state_rate"],
+                marker_rate=values["marker_rate"],
+                publish_clock=values["publish_clock"],
+                clock_rate=values["clock_rate"],
+                allow_quit=values["allow_quit"],
+                frame_id=values["frame_id"],
+                record=values["record"],
+                record_storage=values["record_storage"],
+                namespace=self.get_namespace(),
+                name=self.get_name(),
+            )
+
+        def _first_load(self, name: str, start_paused: bool) -> None:
+            prepared = self.core.prepare(name, "")
+            self.core.load(
+                prepared,
+                {"scenario_name": name, "start_paused": start_paused},
+                start_paused=start_paused,
+                caller="parameter scenario",
+            )
+
+        # --- the loop ------------------------------------------------------------------------
+
+        def work(self) -> float:
+            """Do what is due; returns the wall time until which nothing is."""
+            self.guard.look()
+            for load in [load for load in self._loads if load[0].done()]:
+                self._loads.remove(load)
+                load[1].set_result(load[0])
+            due = self.core.work()
+            if self.output.pump():
+                due = min(due, time.monotonic() + 0.005)
+            return due
+
+        def close(self) -> None:
+            """End the run, close the recording, wait until all has arrived."""
+            self.core.close()
+            self.output.settle(EXIT_WAIT)
+            self._pool.shutdown(cancel_futures=True)
+            self.destroy_node()
+
+        # --- parameters ----------------------------------------------------------------------
+
+        def _check_parameters(self, changes: list[Any]) -> Any:
+            try:
+                values = table.check_change(changes, table.SIMULATOR)
+                if values.get("scenario"):
+                    # Read once here, so that a refusal reaches whoever sets it.
+                    self._prepared = self.core.prepare(str(values["scenario"]), "")
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=True)
+
+        def _apply_parameters(self, changes: list[Any]) -> None:
+            values = table.check_change(changes, table.SIMULATOR)
+            settings = self.core.settings
+            for name in ("speed_factor", "state_rate", "marker_rate", "clock_rate", "allow_quit"):
+                if name in values:
+                    setattr(settings, name, values[name])
+            self.auto_exit = bool(values.get("auto_exit", self.auto_exit))
+            self.core.pace_changed()
+            if values.get("scenario") and self._prepared is not None:
+                paused = bool(self.get_parameter("start_paused").value)
+                request = {"scenario_name": values["scenario"], "start_paused": paused}
+                prepared, self._prepared = self._prepared, None
+                self.core.load(prepared, request, start_paused=paused, caller="parameter scenario")
+
+        # --- services ------------------------------------------------------------------------
+
+        @staticmethod
+        def _fill(response: Any, answer: Answer) -> Any:
+            response.success = answer.success
+            response.message = answer.message
+            seconds, rest = divmod(answer.stamp, NANOSECONDS)
+            response.applied_at.sec, response.applied_at.nanosec = seconds, rest
+            response.step = answer.step
+            return response
+
+        async def _load_consist(self, request: Any, response: Any) -> Any:
+            asked = {
+                "scenario_name": request.scenario_name,
+                "scenario_yaml": request.scenario_yaml,
+                "speed_kmh": request.speed_kmh,
+                "start_paused": request.start_paused,
+            }
+            work = self._pool.submit(
+                self.core.prepare, request.scenario_name, request.scenario_yaml, request.speed_kmh
+            )
+            ready = Future()
+            self._loads.append((work, ready))
+            work.add_done_callback(lambda _: self._wake())
+            done = await ready
+            prepared: Prepared | ValueError
+            try:
+                prepared = done.result()
+            except ValueError as error:
+                prepared = error
+            answer = self.core.load(
+                prepared, asked, start_paused=request.start_paused, caller=request.caller
+            )
+            response.run_id = answer.run_id if answer.success else ""
+            return self._fill(response, answer)
+
+        def _inject_rail_break(self, request: Any, response: Any) -> Any:
+            answer = self.core.inject_rail_break(
+                request.track_coordinate, request.car, request.caller
+            )
+            response.track_coordinate = answer.value if answer.success else math.nan
+            return self._fill(response, answer)
+
+        def _trigger_brake(self, request: Any, response: Any) -> Any:
+            answer = self.core.trigger_emergency_brake(
+                request.mode, request.source, request.car, request.delay_s, request.caller
+            )
+            return self._fill(response, answer)
+
+        def _set_state(self, request: Any, response: Any) -> Any:
+            answer = self.core.set_state(request.state, request.caller)
+            response.state = int(self.core.state)
+            return self._fill(response, answer)
+
+        async def _step(self, request: Any, response: Any) -> Any:
+            done = Future()
+            self.core.step_simulation(request.ticks, done.set_result, request.caller)
+            return self._fill(response, await done)
+
+        def _reset(self, request: Any, response: Any) -> Any:
+            answer = self.core.reset(request.mode, request.caller)
+            response.run_id = answer.run_id if answer.success else ""
+            return self._fill(response, answer)
+
+        def _get_events(self, request: Any, response: Any) -> Any:
+            from rclpy.serialization import deserialize_message
+
+            core = self.core
+            session = core.session
+            seconds, rest = divmod(core.stamp, NANOSECONDS)
+            response.applied_at.sec, response.applied_at.nanosec = seconds, rest
+            response.step = core.step
+            response.run_id = core.run_id
+            if session is None:
+                response.message = "no run is loaded"
+                return response
+            if self._events_of != core.run_id:
+                self._events, self._events_of = [], core.run_id
+            kind = rclpy_class("derail_msgs/msg/TrainEvent")
+            for data in session.event_messages[len(self._events) :]:
+                self._events.append(deserialize_message(data, kind))
+            response.success = True
+            response.message = f"{len(self._events)} events"
+            response.events = self._events
+            return response
+
+    return SimulatorNode
+
+
+def _run(stop: Stop, arguments: Sequence[str]) -> int:
+    def warm_up() -> None:
+        from derail_ros.engine import warm_up as compile_kernels
+
+        compile_kernels()
+
+    began = time.monotonic()
+    print("derail_ros: loading the kernels (compiled once a version)", file=sys.stderr, flush=True)
+    stop.during(warm_up)
+    print(f"derail_ros: ready after {time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
+
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    check_interfaces()
+    executor = SingleThreadedExecutor()
+    node = make_node_class()(executor.wake)
+    executor.add_node(node)
+    code = 0
+    try:
+        while not stop.asked:
+            due = node.work()
+            core = node.core
+            if core.state.name == "QUITTING":
+                break
+            if node.auto_exit and core.finished:
+                code = 1 if core.session.failure else 0
+                break
+            executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
+        # Answers that are ready still go out.
+        for _ in range(3):
+            executor.spin_once(timeout_sec=0.0)
+    finally:
+        node.close()
+        executor.shutdown()
+    return code
+
+
+def usage() -> str:
+    """Help on the command line."""
+    lines = [
+        f"simulator of derail_ros {derail_ros.__version__}: a ROS 2 node",
+        "",
+        "usage: simulator [--ros-args -p NAME:=VALUE ... --params-file FILE]",
+        "",
+    ]
+    for p in table.SIMULATOR:
+        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to end; returns the exit code."""
+    return run_node(_run, argv, usage)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""Where a recording comes from: enough to repeat its runs to the bit.
+
+A manifest lies beside the recording (``manifest.json`` in the bag's folder), in its metadata
+(custom data ``derail_ros_manifest``) and in it, as the last message of the latched topic
+``manifest``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import derail_ros
+from msg_adapters.reports import jsonable
+
+FORMAT = "derail_ros/manifest"
+VERSION = 1
+FILE_NAME = "manifest.json"
+CUSTOM_DATA = "derail_ros_manifest"
+
+PACKAGES = ("numpy", "numba", "llvmlite", "pydantic", "PyYAML", "rosbags", "ros-rclpy")
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of everything that a result may depend on."""
+    from derail_ros.engine.jit import source_hash
+
+    versions = {
+        "derail_ros": derail_ros.__version__,
+        "engine_hash": source_hash(),
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+    }
+    for package in PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    if distribution := os.environ.get("ROS_DISTRO"):
+        versions["ros_distro"] = distribution
+    return versions
+
+
+@dataclass
+class RunEntry:
+    """One run of a recording.
+
+    Attributes
+    ----------
+    run_id : identity of the run in its messages
+    scenario_name, scenario_hash : which scenario
+    scenario : the scenario with all defaults filled in, as plain data
+    seed : seed of what is drawn at random (the model draws nothing: ``None``)
+    start_time : simulation time at which it began, ns
+    commands : the commands applied to it, with the step at which each was: name, arguments,
+        step, time
+    refused : the commands refused while it was loaded: command, request, reason, step, time
+    status : how it ended, or ``"running"``
+    time, steps : run time (s) and accepted steps at its end
+    final_state_hash : hash of the engine's state at its end
+    outcome : what came of it
+    """
+
+    run_id: str
+    scenario_name: str
+    scenario_hash: str
+    scenario: dict[str, Any]
+    seed: int | None = None
+    start_time: int = 0
+    commands: list[dict[str, Any]] = field(default_factory=list)
+    refused: list[dict[str, Any]] = field(default_factory=list)
+    status: str = "running"
+    time: float = 0.0
+    steps: int = 0
+    final_state_hash: str = ""
+    outcome: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Manifest:
+    """Where a recording comes from.
+
+    Attributes
+    ----------
+    runs : its runs, in order; the outcome of interest is usually that of the last one
+    software : versions of what computed it
+    created : wall time at which it was begun, ISO 8601
+    settings : state_rate (Hz), marker_rate (Hz) and so on
+    messages : number of messages by topic, known once the recording is closed
+    """
+
+    runs: list[RunEntry] = field(default_factory=list)
+    software: dict[str, str] = field(default_factory=software_versions)
+    created: str = field(
+        default_factory=lambda: datetime.datetime.now(datetime.timezone.utc).isoformat()
+    )
+    settings: dict[str, Any] = field(default_factory=dict)
+    messages: dict[str, int] = field(default_factory=dict)
+    format: str = FORMAT
+    version: int = VERSION
+
+    @property
+    def run(self) -> RunEntry:
+        """The last run."""
+        return self.runs[-1]
+
+    def to_json(self) -> str:
+        """The manifest as JSON; non-finite numbers are the texts ``nan``, ``inf``, ``-inf``."""
+        return json.dumps(jsonable(dataclasses.asdict(self)), indent=1, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Manifest:
+        """A manifest from its JSON."""
+        data = json.loads(text)
+        if data.get("format") != FORMAT or data.get("version") != VERSION:
+            raise ValueError("not a manifest that this version reads")
+        data["runs"] = [RunEntry(**run) for run in data["runs"]]
+        return cls(**data)
+
+
+def read_manifest(path: str | os.PathLike[str]) -> Manifest:
+    """The manifest beside a recording: ``path`` is the bag's folder or the file itself."""
+    place = Path(path)
+    if place.is_dir():
+        place = place / FILE_NAME
+    return Manifest.from_json(place.read_text(encoding="utf-8"))
