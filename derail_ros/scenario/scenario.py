@@ -332,7 +332,7 @@ def _merge_below(document: Document, base: Document) -> None:
 
     # a title that was not written for the variant would mislead
     inherited = {k: v for k, v in base.data.items() if k not in ("title", "description")}
-    replaced = {("title",), ("description",)}
+    replaced: set[Path] = {("title",), ("description",)}
     document.data = merge(inherited, document.data, ())
     document.marks = _without(base.marks, replaced) | document.marks
 
