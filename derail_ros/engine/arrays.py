@@ -82,12 +82,15 @@ class Work(NamedTuple):
     """Scratch of the kernels."""
 
     wk: F64  # (N, N_WORK)
+    wk2: F64  # the same for implicit steps
+    shift: F64  # (N, 5)
     force: F64  # (N, 5)
     stage_q: F64
     stage_v: F64
     kq: F64  # (stages, N, 5)
     kv: F64
     power: F64  # (N_POWER,)
+    mean_power: F64  # over the step
     kp: F64  # (stages, N_POWER)
     gamma_t: F64  # (N, 2)
     gamma_c: F64  # (N-1, 2)
@@ -103,19 +106,22 @@ class Work(NamedTuple):
     pair: F64
 
 
-STAGES = 7
+STAGES = 6
 
 
 def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
     """Scratch for ``n`` cars."""
     return Work(
         wk=np.zeros((n, L.N_WORK)),
+        wk2=np.zeros((n, L.N_WORK)),
+        shift=np.zeros((n, 5)),
         force=np.zeros((n, 5)),
         stage_q=np.zeros((n, 5)),
         stage_v=np.zeros((n, 5)),
         kq=np.zeros((STAGES, n, 5)),
         kv=np.zeros((STAGES, n, 5)),
         power=np.zeros(L.N_POWER),
+        mean_power=np.zeros(L.N_POWER),
         kp=np.zeros((STAGES, L.N_POWER)),
         gamma_t=np.zeros((n, 2)),
         gamma_c=np.zeros((max(n - 1, 0), 2)),

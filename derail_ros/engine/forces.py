@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from derail_ros.engine import arrays as A
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.jit import jit
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import (
     cast_iron_factor,
     composition_factor,
@@ -38,7 +38,7 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 
-@jit
+@inner_jit
 def angles(q: F64, wk: F64) -> None:
     """Sines and cosines of all angles."""
     for i in range(q.shape[0]):
@@ -86,7 +86,7 @@ def kinetic_energy(model: Model, v: F64) -> float:
     return total
 
 
-@jit
+@inner_jit
 def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed: float) -> float:
     """Retarding force of all brake units of body ``i`` with both trucks on the rails, N.
 
@@ -112,7 +112,7 @@ def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed
     return total
 
 
-@jit
+@inner_jit
 def _note_corner(
     report: F64, i: int, corner: int, force: float, gap: float, closing: float, other: int
 ) -> None:
@@ -125,7 +125,7 @@ def _note_corner(
         report[i, base + 3] = other + 1
 
 
-@jit
+@inner_jit
 def _push(force: F64, q: F64, i: int, px: float, py: float, fx: float, fy: float) -> float:
     """Add a force at a place to car ``i``; returns its moment about the mass centre."""
     moment = (px - q[i, 0]) * fy - (py - q[i, 1]) * fx
@@ -135,13 +135,13 @@ def _push(force: F64, q: F64, i: int, px: float, py: float, fx: float, fy: float
     return moment
 
 
-@jit
+@inner_jit
 def _speed_along(v: F64, q: F64, i: int, px: float, py: float, nx: float, ny: float) -> float:
     """Speed of the point of car ``i`` at (px, py) along (nx, ny), m/s."""
     return nx * (v[i, 0] - v[i, 2] * (py - q[i, 1])) + ny * (v[i, 1] + v[i, 2] * (px - q[i, 0]))
 
 
-@jit
+@inner_jit
 def _corner_contacts(
     model: Model,
     q: F64,
@@ -160,6 +160,7 @@ def _corner_contacts(
     ``flip`` says that ``i`` is the second car of the pair row; corner meets corner is treated only
     when it is not, so that it is done once.
     """
+    keep_separate()
     par = model.par
     d_b = par[L.C_BUFFER]
     a_i = model.car[i, L.HALF_L]
@@ -261,7 +262,7 @@ def _corner_contacts(
                 _note_corner(report, j, other_corner, f, gap, closing, i)
 
 
-@jit
+@inner_jit
 def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """Contact forces between all neighbouring pairs; per-pair sums go into ``state.pair``."""
     wk = work.wk
@@ -318,6 +319,7 @@ def generalized_forces(
 
     Switched forces (initiating forces, instant brakes) are those on at ``state.clock[T_ON]``.
     """
+    keep_separate()
     par = model.par
     n = q.shape[0]
     force = work.force

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import State
 from derail_ros.engine.jit import jit
-from derail_ros.engine.stepper import accelerations
 
 F64 = NDArray[np.float64]
 
@@ -70,11 +69,3 @@ def interpolate_energy(state: State, t: float, out: F64) -> None:
             )
         else:
             out[k] = state.energy0[k]
-
-
-@jit
-def forces_at(model: Model, state: State, work: Work, t: float) -> bool:
-    """Forces and multipliers of ``state`` at its q and v into ``work``; for reports only."""
-    return accelerations(
-        model, state, work, t, state.truck_on, state.coupled, state.q, state.v, work.dx, False
-    )

@@ -20,6 +20,7 @@ import llvmlite
 import llvmlite.binding
 import numba
 from numba import config as numba_config
+from numba.extending import intrinsic
 
 
 def source_hash() -> str:
@@ -63,13 +64,44 @@ CACHE_DIR = _writable(cache_root() / f"kernels-{source_hash()}")
 """Folder of this version's compiled kernels."""
 
 
-def jit(function: Callable[..., Any]) -> Any:
-    """Compile a kernel: no Python objects, no fast math, GIL released, cached on disk."""
+@intrinsic
+def keep_separate(typing_context: Any) -> Any:  # pragma: no cover - runs in the compiler
+    """Statement for the beginning of a large kernel: LLVM shall not inline it into its callers.
+
+    Without it every level of the call tree optimizes all that lies below it once more, and the
+    first compilation takes several times as long.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return numba.types.void(), codegen
+
+
+def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # numba reads the folder when the decorator runs, so the setting is changed only for that
     # long: a user's own numba functions keep their own cache.
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(CACHE_DIR)
     try:
-        return numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function)
+        return numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy", **options)(
+            function
+        )
     finally:
         numba_config.CACHE_DIR = previous
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Compile a kernel: no Python objects, no fast math, GIL released, cached on disk."""
+    return _compile(function)
+
+
+def inner_jit(function: Callable[..., Any]) -> Any:
+    """The same for a kernel that only kernels call: without the costly Python entry."""
+    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def inline_jit(function: Callable[..., Any]) -> Any:
+    """The same for a kernel with one caller, compiled as a part of it."""
+    return _compile(function, inline="always")

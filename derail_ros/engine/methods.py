@@ -2,5 +2,8 @@
 
 from __future__ import annotations
 
-METHODS = {"rkf45": 0}
-"""Name -> code of each integrator; ``rkf45`` is the reference."""
+RKF45 = 0
+ROW = 1
+
+METHODS = {"rkf45": RKF45, "row": ROW}
+"""Name -> code: ``rkf45`` is the explicit reference, ``row`` the linearly implicit method."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.jit import jit
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.contact import nearest_wall, outside_mask
 
 F64 = NDArray[np.float64]
@@ -22,7 +22,7 @@ MARGIN = 3.0
 """Room between the circles that a fresh list allows for, m."""
 
 
-@jit
+@inner_jit
 def list_is_stale(model: Model, state: State) -> bool:
     """A car has moved far enough since the list was made that a pair could be missing."""
     limit = 0.5 * MARGIN - model.par[L.STEP_SHARE]
@@ -35,7 +35,7 @@ def list_is_stale(model: Model, state: State) -> bool:
     return False
 
 
-@jit
+@inner_jit
 def corner_place(model: Model, q: F64, i: int, corner: int) -> tuple[float, float]:
     """Place of a corner of car ``i``: 0 front left, 1 front right, 2 rear left, 3 rear right."""
     u = model.car[i, L.HALF_L] if corner < 2 else -model.car[i, L.HALF_L]
@@ -45,12 +45,13 @@ def corner_place(model: Model, q: F64, i: int, corner: int) -> tuple[float, floa
     return q[i, 0] + c * u - s * w, q[i, 1] + s * u + c * w
 
 
-@jit
+@inner_jit
 def remember_walls(model: Model, state: State, p: int, fresh: bool) -> None:
     """Update the memory of pair ``p``: which walls each corner is outside of, or came through.
 
     A corner that is inside keeps its wall; ``fresh`` forgets it (a new pair).
     """
+    keep_separate()
     q = state.q
     for side in range(2):
         i = state.pairs[p, side]
@@ -71,7 +72,7 @@ def remember_walls(model: Model, state: State, p: int, fresh: bool) -> None:
             state.mask[p, k] = mask
 
 
-@jit
+@inner_jit
 def end_contact(state: State, p: int, t: float) -> None:
     """Close the contact in progress of pair ``p``; it ended at ``t``."""
     row = state.contact[int(state.pair[p, L.P_ID])]
@@ -88,6 +89,7 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     Pairs are in the order of their cars, so that sums do not depend on history. Returns False,
     with the old list kept, when ``work.pairs`` has too few rows.
     """
+    keep_separate()
     n = state.q.shape[0]
     q = state.q
     order = work.order
@@ -173,9 +175,10 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     return True
 
 
-@jit
+@inner_jit
 def track_contacts(model: Model, state: State, t: float, h: float) -> None:
     """Follow the contacts of all pairs at an accepted state: events, peaks, energy."""
+    keep_separate()
     par = model.par
     for p in range(state.cnt[L.N_PAIRS]):
         row = state.pair[p]

@@ -21,6 +21,11 @@ from derail_ros.engine.build import (
     initial_state,
     validate,
 )
+from derail_ros.engine.dynamics import (
+    accelerations,
+    project_positions,
+    project_velocities,
+)
 from derail_ros.engine.errors import (
     CommandError,
     ConstraintError,
@@ -34,7 +39,8 @@ from derail_ros.engine.errors import (
 )
 from derail_ros.engine.events import Collision, Command, Event, EventKind
 from derail_ros.engine.forces import coupler_energy, kinetic_energy
-from derail_ros.engine.interpolation import forces_at, interpolate, interpolate_energy
+from derail_ros.engine.interpolation import interpolate, interpolate_energy
+from derail_ros.engine.neighbours import rebuild
 from derail_ros.engine.outcome import make_outcome
 from derail_ros.engine.params import TrainParams
 from derail_ros.engine.sample import Outcome, Sample
@@ -141,9 +147,9 @@ class Simulation:
 
     def _start(self) -> None:
         s = self._state
-        if not stepper.project_positions(self._model, s, self._work, s.truck_on, s.coupled, s.q):
+        if not project_positions(self._model, s, self._work, s.truck_on, s.coupled, s.q):
             raise ParameterError("initiation", "the train does not fit the track here")
-        stepper.project_velocities(self._model, self._work, s.truck_on, s.coupled, s.v)
+        project_velocities(self._model, self._work, s.truck_on, s.coupled, s.v)
         s.q0[:] = s.q
         s.v0[:] = s.v
         start = self.params.initiation
@@ -174,8 +180,8 @@ class Simulation:
             )
             self._scheduled.append(event)
         self._scheduled.sort(key=lambda e: e.time)
-        self._grow_until(stepper.rebuild(self._model, s, self._work))
-        if not stepper.evaluate(self._model, s, self._work):
+        self._grow_until(rebuild(self._model, s, self._work))
+        if not self._evaluate():
             raise ParameterError("initiation", "the constraints of the train are not independent")
         s.a0[:] = s.a
         s.a1[:] = s.a
@@ -186,10 +192,22 @@ class Simulation:
         )
         self._drain()
 
+    def _evaluate(self) -> bool:
+        """Accelerations, multipliers and powers of the state as it stands, into the state."""
+        s, work = self._state, self._work
+        s.clock[L.T_ON] = s.clock[L.T]
+        ok = accelerations(
+            self._model, s, work, self.time, s.truck_on, s.coupled, s.q, s.v, s.a, False
+        )
+        s.power[:] = work.power
+        s.rail_force[:] = work.lam_t
+        s.coupler_force[:] = work.lam_c
+        return bool(ok)
+
     def _grow_until(self, fits: bool) -> None:
         while not fits:
             self._grow_pairs()
-            fits = stepper.rebuild(self._model, self._state, self._work)
+            fits = rebuild(self._model, self._state, self._work)
 
     # --- what it is at -----------------------------------------------------------------------
 
@@ -513,7 +531,7 @@ class Simulation:
         )
         self._scheduled.sort(key=lambda e: e.time)
         self._drain()
-        stepper.evaluate(self._model, self._state, self._work)
+        self._evaluate()
 
     def _start_brakes(self, mode: str, source: str, car: int, t: float) -> None:
         kind = ARRIVALS[mode]
@@ -598,7 +616,18 @@ class Simulation:
             truck_on=(s.truck_on0 if inside else s.truck_on).copy(),
             coupled=(s.coupled0 if inside else s.coupled).copy(),
         )
-        if not forces_at(self._model, view, work, min(t, self.time)):
+        if not accelerations(
+            self._model,
+            view,
+            work,
+            min(t, self.time),
+            view.truck_on,
+            view.coupled,
+            q,
+            v,
+            work.dx,
+            False,
+        ):
             raise ConstraintError("the constraint equations cannot be solved", self)
         r = work.report
         c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])

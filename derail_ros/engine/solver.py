@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State
-from derail_ros.engine.jit import jit
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.track import locate
 
 F64 = NDArray[np.float64]
@@ -62,6 +62,7 @@ def truck_rows(model: Model, state: State, truck_on: U8, q: F64, wk: F64) -> Non
 
     Also moves ``state.truck_s`` to the foot points (for a straight track it is X).
     """
+    keep_separate()
     straight = model.track.shape[0] == 0
     for i in range(q.shape[0]):
         w = wk[i]
@@ -96,6 +97,7 @@ def truck_rows(model: Model, state: State, truck_on: U8, q: F64, wk: F64) -> Non
 @jit
 def factor(model: Model, truck_on: U8, coupled: U8, wk: F64) -> bool:
     """Factor ``J M^-1 J^T`` at the angles in ``wk``; False when it is singular."""
+    keep_separate()
     n = wk.shape[0]
     ok = True
     for i in range(n):
@@ -260,6 +262,7 @@ def solve(
 
     ``force`` and ``x``: (N, 5); ``gamma_t``, ``lam_t``: (N, 2); ``gamma_c``, ``lam_c``: (N-1, 2).
     """
+    keep_separate()
     n = wk.shape[0]
     for i in range(n):
         w = wk[i]
@@ -376,7 +379,7 @@ def solve(
             )
 
 
-@jit
+@inner_jit
 def coupling_gap(model: Model, q: F64, wk: F64, k: int) -> tuple[float, float]:
     """Rear face of car ``k`` less front face of car ``k + 1``, m."""
     ci = model.car[k]
@@ -402,7 +405,7 @@ def coupling_gap(model: Model, q: F64, wk: F64, k: int) -> tuple[float, float]:
     return gx, gy
 
 
-@jit
+@inner_jit
 def coupling_rate(model: Model, v: F64, wk: F64, k: int) -> tuple[float, float]:
     """``J v`` of coupling ``k``, m/s."""
     ci = model.car[k]
@@ -428,7 +431,7 @@ def coupling_rate(model: Model, v: F64, wk: F64, k: int) -> tuple[float, float]:
     return gx, gy
 
 
-@jit
+@inner_jit
 def truck_rate(v: F64, wk: F64, i: int, k: int) -> float:
     """``J v`` of truck ``k`` of car ``i``: its speed along the track's left normal, m/s."""
     base = L.W_TF if k == 0 else L.W_TR
@@ -491,7 +494,7 @@ def acceleration_gamma(
         gamma_c[k, 1] = gy
 
 
-@jit
+@inner_jit
 def constraint_error(
     model: Model, truck_on: U8, coupled: U8, q: F64, wk: F64
 ) -> tuple[float, float]:

@@ -14,25 +14,15 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.dynamics import accelerations, project_positions, project_velocities
 from derail_ros.engine.events import EventKind
-from derail_ros.engine.forces import (
-    angles,
-    coupler_energy,
-    generalized_forces,
-    kinetic_energy,
-)
-from derail_ros.engine.jit import jit
+from derail_ros.engine.forces import angles, coupler_energy, kinetic_energy
+from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
+from derail_ros.engine.methods import ROW
 from derail_ros.engine.neighbours import end_contact, list_is_stale, rebuild, track_contacts
-from derail_ros.engine.solver import (
-    acceleration_gamma,
-    constraint_error,
-    coupling_gap,
-    coupling_rate,
-    factor,
-    solve,
-    truck_rate,
-    truck_rows,
-)
+from derail_ros.engine.rkf45 import rkf45_step
+from derail_ros.engine.row import row_step
+from derail_ros.engine.solver import constraint_error, truck_rows
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -53,184 +43,8 @@ NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
 LOCATED = 1e-7
 """A crossing is located to this, m (breaks) or rad (couplings)."""
 
-PROJECTED = 1e-10
-"""Constraint error at which the projection of positions stops, m."""
 
-# Fehlberg's 4(5) pair.
-RKF_C = (0.0, 1 / 4, 3 / 8, 12 / 13, 1.0, 1 / 2)
-RKF_A = np.array(
-    [
-        [0, 0, 0, 0, 0],
-        [1 / 4, 0, 0, 0, 0],
-        [3 / 32, 9 / 32, 0, 0, 0],
-        [1932 / 2197, -7200 / 2197, 7296 / 2197, 0, 0],
-        [439 / 216, -8, 3680 / 513, -845 / 4104, 0],
-        [-8 / 27, 2, -3544 / 2565, 1859 / 4104, -11 / 40],
-    ]
-)
-RKF_B = (16 / 135, 0.0, 6656 / 12825, 28561 / 56430, -9 / 50, 2 / 55)
-RKF_E = (1 / 360, 0.0, -128 / 4275, -2197 / 75240, 1 / 50, 2 / 55)
-
-
-@jit
-def accelerations(
-    model: Model,
-    state: State,
-    work: Work,
-    t: float,
-    truck_on: U8,
-    coupled: U8,
-    q: F64,
-    v: F64,
-    out: F64,
-    factored: bool,
-) -> bool:
-    """Accelerations at ``(t, q, v)`` into ``out``, multipliers and powers into ``work``.
-
-    ``factored`` says that truck rows and factors at ``q`` are in ``work`` already. Returns False
-    when the constraint equations are singular.
-    """
-    generalized_forces(model, state, work, t, truck_on, coupled, q, v)
-    ok = True
-    if not factored:
-        truck_rows(model, state, truck_on, q, work.wk)
-        ok = factor(model, truck_on, coupled, work.wk)
-    acceleration_gamma(model, truck_on, coupled, q, v, work.wk, work.gamma_t, work.gamma_c)
-    solve(
-        model,
-        truck_on,
-        coupled,
-        work.wk,
-        work.force,
-        work.gamma_t,
-        work.gamma_c,
-        out,
-        work.lam_t,
-        work.lam_c,
-    )
-    state.cnt[L.EVALS] += 1
-    return ok
-
-
-@jit
-def project_positions(
-    model: Model, state: State, work: Work, truck_on: U8, coupled: U8, q: F64
-) -> bool:
-    """Move ``q`` onto the constraints, as little as possible in the metric of the masses.
-
-    Newton's method; leaves angles, truck rows and factors at ``q`` in ``work``. Returns False when
-    it does not converge.
-    """
-    n = q.shape[0]
-    for _ in range(12):
-        angles(q, work.wk)
-        truck_rows(model, state, truck_on, q, work.wk)
-        if not factor(model, truck_on, coupled, work.wk):
-            return False
-        gap, offset = constraint_error(model, truck_on, coupled, q, work.wk)
-        # Beyond 1e5 m from the origin a double resolves no better than its own spacing.
-        if max(gap, offset) <= PROJECTED + 1e-15 * abs(q[0, 0]):
-            return True
-        for i in range(n):
-            for k in range(2):
-                if truck_on[i, k]:
-                    work.gamma_t[i, k] = -work.wk[i, L.W_OFF + k]
-            if i < n - 1 and coupled[i]:
-                gx, gy = coupling_gap(model, q, work.wk, i)
-                work.gamma_c[i, 0] = -gx
-                work.gamma_c[i, 1] = -gy
-        work.force[:] = 0.0
-        solve(
-            model, truck_on, coupled, work.wk, work.force, work.gamma_t, work.gamma_c,
-            work.dx, work.lam_t, work.lam_c,
-        )  # fmt: skip
-        for i in range(n):
-            for k in range(5):
-                q[i, k] += work.dx[i, k]
-    return False
-
-
-@jit
-def project_velocities(model: Model, work: Work, truck_on: U8, coupled: U8, v: F64) -> None:
-    """Move ``v`` onto the tangent of the constraints; uses the factors in ``work``."""
-    n = v.shape[0]
-    for i in range(n):
-        for k in range(2):
-            if truck_on[i, k]:
-                work.gamma_t[i, k] = -truck_rate(v, work.wk, i, k)
-        if i < n - 1 and coupled[i]:
-            gx, gy = coupling_rate(model, v, work.wk, i)
-            work.gamma_c[i, 0] = -gx
-            work.gamma_c[i, 1] = -gy
-    work.force[:] = 0.0
-    solve(
-        model, truck_on, coupled, work.wk, work.force, work.gamma_t, work.gamma_c,
-        work.dx, work.lam_t, work.lam_c,
-    )  # fmt: skip
-    for i in range(n):
-        for k in range(5):
-            v[i, k] += work.dx[i, k]
-
-
-@jit
-def rkf45_step(model: Model, state: State, work: Work, h: float) -> float:
-    """One Fehlberg step of size ``h`` from the accepted state into ``work.stage_q/v``.
-
-    Returns the error in units of the tolerance (fifth less fourth order, largest component): the
-    scale is ``rtol`` (1 m, 1 rad) for coordinates and ``rtol (1 + |v|)`` for velocities, so it
-    does not depend on where along the track the train is.
-    """
-    n = state.q.shape[0]
-    q1 = work.stage_q
-    v1 = work.stage_v
-    work.kq[0] = state.v
-    work.kv[0] = state.a
-    work.kp[0] = state.power
-    t = state.clock[L.T]
-    for s in range(1, 6):
-        for i in range(n):
-            for k in range(5):
-                dq = 0.0
-                dv = 0.0
-                for r in range(s):
-                    dq += RKF_A[s, r] * work.kq[r, i, k]
-                    dv += RKF_A[s, r] * work.kv[r, i, k]
-                q1[i, k] = state.q[i, k] + h * dq
-                v1[i, k] = state.v[i, k] + h * dv
-        ok = accelerations(
-            model, state, work, t + RKF_C[s] * h, state.truck_on, state.coupled, q1, v1,
-            work.kv[s], False,
-        )  # fmt: skip
-        if not ok:
-            return math.inf
-        work.kq[s] = v1
-        work.kp[s] = work.power
-    error = 0.0
-    rtol = model.par[L.RTOL]
-    for i in range(n):
-        for k in range(5):
-            dq = 0.0
-            dv = 0.0
-            eq = 0.0
-            ev = 0.0
-            for s in range(6):
-                dq += RKF_B[s] * work.kq[s, i, k]
-                dv += RKF_B[s] * work.kv[s, i, k]
-                eq += RKF_E[s] * work.kq[s, i, k]
-                ev += RKF_E[s] * work.kv[s, i, k]
-            q1[i, k] = state.q[i, k] + h * dq
-            v1[i, k] = state.v[i, k] + h * dv
-            eq = abs(h * eq)
-            ev = abs(h * ev) / (1.0 + abs(state.v[i, k]))
-            # written so that a nan counts as an error
-            if not eq <= error * rtol:
-                error = eq / rtol
-            if not ev <= error * rtol:
-                error = ev / rtol
-    return error
-
-
-@jit
+@inner_jit
 def step_cap(model: Model, v: F64) -> float:
     """Largest step in which no corner moves further than its share of the buffer, s."""
     fastest = 1e-9
@@ -240,7 +54,7 @@ def step_cap(model: Model, v: F64) -> float:
     return min(model.par[L.H_MAX], model.par[L.STEP_SHARE] / fastest)
 
 
-@jit
+@inner_jit
 def next_switch(model: Model, state: State, t: float) -> float:
     """Next moment after ``t`` at which a force jumps: initiating forces, instant brakes."""
     soon = math.inf
@@ -255,7 +69,7 @@ def next_switch(model: Model, state: State, t: float) -> float:
     return soon
 
 
-@jit
+@inner_jit
 def _cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
     """Where in (0, 1] the cubic with values g0 <= 0 < g1 and slopes d0, d1 crosses zero."""
     lo = 0.0
@@ -276,7 +90,7 @@ def _cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
     return hi
 
 
-@jit
+@inner_jit
 def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
     """Speed of a truck along the track, m/s (its normal in ``wk``, the car's cos and sin given)."""
     base = L.W_TF if k == 0 else L.W_TR
@@ -286,13 +100,14 @@ def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: f
     )
 
 
-@jit
+@inner_jit
 def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
     """Share of the step at which the first break is passed or coupling limit reached.
 
     The step's end is in ``work.stage_q/v`` with its truck rows in ``work.wk``. 1.0 without a
     crossing, or when the first one is within ``LOCATED`` of the end already.
     """
+    keep_separate()
     share = 1.0
     wk = work.wk
     for i in range(state.q.shape[0]):
@@ -334,7 +149,7 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
     return share
 
 
-@jit
+@inner_jit
 def add_event(
     state: State,
     work: Work,
@@ -351,6 +166,7 @@ def add_event(
     value: float,
 ) -> None:
     """Append a row to the event buffer, kept in the order of time."""
+    keep_separate()
     k = state.cnt[L.N_EVENTS]
     while k > 0 and work.event[k - 1, L.V_TIME] > t:
         work.event[k] = work.event[k - 1]
@@ -371,11 +187,12 @@ def add_event(
     state.cnt[L.N_EVENTS] += 1
 
 
-@jit
+@inner_jit
 def derail_truck(
     model: Model, state: State, work: Work, i: int, k: int, cause: int, value: float
 ) -> None:
     """Take a truck off the rails and say so."""
+    keep_separate()
     t = state.clock[L.T]
     state.truck_on[i, k] = 0
     r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
@@ -410,13 +227,13 @@ def apply_brakes(
         state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
 
 
-@jit
+@inner_jit
 def part_coupling(
     model: Model, state: State, work: Work, i: int, cause: int, value: float
 ) -> None:
     """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
+    keep_separate()
     t = state.clock[L.T]
-    k = model.knuckle[i]
     before = coupler_energy(model, state.coupled, state.q)
     state.coupled[i] = 0
     after = coupler_energy(model, state.coupled, state.q)
@@ -440,9 +257,10 @@ def part_coupling(
         )  # fmt: skip
 
 
-@jit
+@inner_jit
 def remove_constraints(model: Model, state: State, work: Work) -> bool:
     """Test the accepted state for derailments and parted couplings; True when any happened."""
+    keep_separate()
     changed = False
     n = state.q.shape[0]
     weight = 0.5 * model.par[L.GRAVITY]
@@ -496,9 +314,10 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
     return changed
 
 
-@jit
+@inner_jit
 def note_progress(model: Model, state: State, work: Work) -> None:
     """Events of the brakes and of cars that come to rest, and the end of the run."""
+    keep_separate()
     t = state.clock[L.T]
     par = model.par
     for u in range(state.arrival.shape[0]):
@@ -549,21 +368,7 @@ def note_progress(model: Model, state: State, work: Work) -> None:
         )  # fmt: skip
 
 
-@jit
-def evaluate(model: Model, state: State, work: Work) -> bool:
-    """Accelerations, multipliers and powers of the state as it stands, into the state."""
-    state.clock[L.T_ON] = state.clock[L.T]
-    ok = accelerations(
-        model, state, work, state.clock[L.T], state.truck_on, state.coupled, state.q, state.v,
-        state.a, False,
-    )  # fmt: skip
-    state.power[:] = work.power
-    state.rail_force[:] = work.lam_t
-    state.coupler_force[:] = work.lam_c
-    return ok
-
-
-@jit
+@inner_jit
 def energy_residual(model: Model, state: State) -> float:
     """Imbalance of the ledger, J: initial energy + put in - energy now - taken out."""
     striker, knuckle = coupler_energy(model, state.coupled, state.q)
@@ -584,7 +389,7 @@ def energy_residual(model: Model, state: State) -> float:
     )
 
 
-@jit
+@inner_jit
 def on_track(model: Model, state: State) -> bool:
     """Every truck on the rails lies within the alignment."""
     pieces = model.track.shape[0]
@@ -599,7 +404,7 @@ def on_track(model: Model, state: State) -> bool:
     return True
 
 
-@jit
+@inline_jit
 def step(model: Model, state: State, work: Work) -> int:
     """Take one accepted step. Returns DONE or one of the error codes."""
     par = model.par
@@ -608,6 +413,8 @@ def step(model: Model, state: State, work: Work) -> int:
     t = clock[L.T]
     floor = par[L.H_MIN]
     project = par[L.PROJECT] != 0.0
+    row = par[L.METHOD] == ROW
+    order = 1.0 / 3.0 if row else 0.2
     work.truck_s[:] = state.truck_s
     clock[L.T_ON] = t
     switch = next_switch(model, state, t)
@@ -630,11 +437,14 @@ def step(model: Model, state: State, work: Work) -> int:
     grow = 1.0
     e_before = 0.0
     while True:
-        error = rkf45_step(model, state, work, h)
+        if row:
+            error = row_step(model, state, work, h)
+        else:
+            error = rkf45_step(model, state, work, h)
         ok = math.isfinite(error)
         grow = 0.2
         if ok:
-            grow = min(4.0, max(0.2, 0.9 * (max(error, 1e-10)) ** -0.2))
+            grow = min(4.0, max(0.2, 0.9 * max(error, 1e-10) ** -order))
         if not ok or error > 1.0:
             cnt[L.REJECTED] += 1
             rejected = True
@@ -684,10 +494,7 @@ def step(model: Model, state: State, work: Work) -> int:
     state.q[:] = work.stage_q
     state.v[:] = work.stage_v
     for k in range(L.N_POWER):
-        total = 0.0
-        for s in range(6):
-            total += RKF_B[s] * work.kp[s, k]
-        state.energy[k] += h * total
+        state.energy[k] += h * work.mean_power[k]
     striker, knuckle = coupler_energy(model, state.coupled, state.q)
     moved = kinetic_energy(model, state.v) + striker + knuckle - e_before
     state.energy[L.E_STAB_NET] += moved
@@ -717,8 +524,15 @@ def step(model: Model, state: State, work: Work) -> int:
     changed = remove_constraints(model, state, work)
     note_progress(model, state, work)
     if changed or clock[L.T] == switch:
-        if not evaluate(model, state, work):
+        clock[L.T_ON] = clock[L.T]
+        if not accelerations(
+            model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v,
+            state.a, False,
+        ):  # fmt: skip
             return SINGULAR
+        state.power[:] = work.power
+        state.rail_force[:] = work.lam_t
+        state.coupler_force[:] = work.lam_c
     if clock[L.E_INITIAL] > 0.0:
         clock[L.MAX_RESIDUAL] = max(
             clock[L.MAX_RESIDUAL], abs(energy_residual(model, state)) / clock[L.E_INITIAL]

@@ -32,3 +32,21 @@ def resistance(v: float, c_s: float, c_d: float, eps: float, c_v: float) -> floa
 def drag(v: float, c_s: float, c_d: float, eps: float, c_v: float) -> float:
     """``K(v) / sqrt(v^2 + eps^2)``, s/m: times N and the velocity vector, the force's size."""
     return resistance(v, c_s, c_d, eps, c_v) / math.sqrt(v * v + eps * eps)
+
+
+@jit
+def drag_slopes(v: float, c_s: float, c_d: float, eps: float, c_v: float) -> tuple[float, float]:
+    """Damping of the reaction for N = 1, s/m: across the velocity and along it.
+
+    For the force ``g(v) u`` with ``g = drag(v)``: ``g`` and ``d(g v)/dv``, the latter not below
+    zero (it is negative where K falls with speed).
+    """
+    s2 = v * v + eps * eps
+    s = math.sqrt(s2)
+    k = resistance(v, c_s, c_d, eps, c_v)
+    slope = c_v
+    if v < 40.0 * eps:
+        slope -= (c_s - c_d) / eps * math.exp(-v / eps)
+    across = k / s
+    along = across + v * (slope / s - k * v / (s2 * s))
+    return across, max(along, 0.0)
