@@ -1,0 +1,103 @@
+"""``derail validate``: ensembles against the published runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+
+
+def run(members: int, seed: int, jobs: int | None, as_json: bool, page: Path | None) -> int:
+    """Compare and report; the exit code tells whether runs failed, not whether goals were met."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from derail_ros.studies import validation as v
+
+    if page is not None and not page.parent.is_dir():
+        raise CommandFailure(f"{page}: there is no folder {page.parent}")
+    common.warm_up()
+    columns: list[Any] = [
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    ]
+    with common.progress(*columns) as bars:
+        task = bars.add_task("validate", total=None)
+
+        def show(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        result = v.validate(members, seed, jobs=jobs, progress=show)
+    if page is not None:
+        page.write_text(v.markdown(result), encoding="utf-8")
+        note(f"derail: wrote {page}")
+    if as_json:
+        common.print_json(result.as_dict())
+    else:
+        _print(result)
+    failed = sum(c.failed for c in (*result.cases, *result.beside))
+    if failed:
+        errors = {e for c in (*result.cases, *result.beside) for e in c.errors}
+        note(f"derail: {failed} runs failed: {'; '.join(sorted(errors))}")
+    return FAILED if failed else OK
+
+
+def _print(result: Any) -> None:
+    from rich.table import Table
+
+    from derail_ros.studies.validation import DIGITS, MEASURES, shown, verdict
+
+    console = common.out()
+    for name, _, label, _ in MEASURES:
+        rows = [
+            (r.case.title, r.spreads[name])
+            for r in (*result.cases, *result.beside)
+            if r.spreads[name].published is not None
+        ]
+        if not rows:
+            continue
+        digits = DIGITS[name]
+        table = Table(box=None, pad_edge=False, title=label, title_justify="left")
+        table.add_column("case", min_width=46)
+        for heading in ("published", "mean", "sd", "90 % band"):
+            table.add_column(heading, justify="right")
+        table.add_column("")
+        for title, s in rows:
+            band = "-" if s.low is None else f"{shown(s.low, digits)} to {shown(s.high, digits)}"
+            table.add_row(
+                title,
+                shown(s.published, digits),
+                shown(s.mean, digits),
+                shown(s.sd, digits),
+                band,
+                verdict(s, digits),
+            )
+        console.print(table)
+        console.print()
+    table = Table(box=None, pad_edge=False, title="goals", title_justify="left")
+    table.add_column("measure", min_width=46)
+    for heading in ("cases", "goal", "reached", ""):
+        table.add_column(heading, justify="right")
+    table.add_column("scatter of single runs", justify="right")
+    for g in result.goals:
+        sign = ">=" if g.at_least else "<="
+        met = "met" if g.met else "[bold]missed[/bold]"
+        table.add_row(
+            g.text,
+            str(g.cases),
+            f"{sign} {g.limit:g}",
+            shown(g.value, 2),
+            met,
+            shown(g.scatter, 2),
+        )
+    console.print(table)

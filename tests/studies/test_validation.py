@@ -1,0 +1,234 @@
+"""The comparison with the published runs, on made-up ensembles."""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from derail_ros.studies.ensemble import Result
+from derail_ros.studies.validation import (
+    Case,
+    Published,
+    evaluate,
+    goals,
+    load_published,
+    markdown,
+    spread,
+    validate,
+    verdict,
+)
+
+LIMITS = {
+    "count_rms": 0.8,
+    "duration_rms_s": 1.2,
+    "peak_inside_share": 0.8,
+    "peak_log_ratio": 0.3,
+    "length_rms": 0.15,
+    "width_rms": 0.15,
+}
+
+
+def record(cars=10, duration=20.0, peak=5e6, length=60.0, width=25.0, **more):
+    return {
+        "cars_derailed": cars,
+        "duration_s": duration,
+        "peak_force_N": peak,
+        "peak_force_pair": [2, 1],
+        "scene_length_m": length,
+        "scene_width_m": width,
+        "scene_area_m2": length * width,
+        "cars_above_10MN": [],
+        "void": False,
+    } | more
+
+
+def case(**published):
+    return Case("a", "A", "scenario", published)
+
+
+# The data ----------------------------------------------------------------------------------
+
+
+def test_published_data():
+    data = load_published()
+    assert [c.published["cars_derailed"] for c in data.cases] == [
+        24,
+        21,
+        18,
+        12,
+        5,
+        10,
+        14,
+        18,
+        24,
+    ]
+    assert [c.published["duration_s"] for c in data.cases] == [
+        25.3, 22.7, 16.2, 11.5, 12.7, 17.9, 21.4, 23.7, 25.9,
+    ]  # fmt: skip
+    assert [c.published["peak_force_MN"] for c in data.cases] == [
+        23.09, 18.4, 18.3, 9.15, 0.78, 3.16, 9.47, 9.48, 19.0,
+    ]  # fmt: skip
+    assert sum("scene_length_m" in c.published for c in data.cases) == 7
+    assert data.goals == LIMITS
+    assert len({c.name for c in (*data.cases, *data.beside)}) == 10
+
+
+def test_published_areas_are_length_times_width():
+    for c in load_published().cases:
+        if "scene_area_m2" in c.published:
+            product = c.published["scene_length_m"] * c.published["scene_width_m"]
+            assert product == pytest.approx(c.published["scene_area_m2"], rel=0.01)
+
+
+def test_every_case_has_its_scenario():
+    from derail_ros.scenario import load_scenario
+
+    data = load_published()
+    for c in (*data.cases, *data.beside):
+        params = load_scenario(c.scenario).with_overrides(c.overrides).to_params()
+        assert params.initiation.lateral_forces
+        if "train.speed_kmh" in c.overrides:
+            assert params.initiation.speed == pytest.approx(c.overrides["train.speed_kmh"] / 3.6)
+
+
+# Statistics --------------------------------------------------------------------------------
+
+
+def test_spread_matches_numpy():
+    x = np.random.default_rng(3).normal(25.0, 1.0, 20)
+    s = spread(x, 25.3)
+    assert s.mean == pytest.approx(x.mean())
+    assert s.sd == pytest.approx(x.std(ddof=1))
+    assert (s.low, s.high) == pytest.approx(tuple(np.quantile(x, [0.05, 0.95])))
+    assert s.inside
+
+
+def test_spread_without_runs_or_published_value():
+    assert spread([], 3.0).inside is None
+    assert spread([1.0, 2.0], None).inside is None
+    assert spread([1.0], 1.0).sd is None
+
+
+def test_void_and_failed_runs_are_left_out_and_counted():
+    records = [record(cars=10), record(cars=12), record(cars=99, void=True), {"error": "E: x"}]
+    result = evaluate(case(cars_derailed=11), records)
+    assert result.spreads["cars_derailed"].mean == 11.0
+    assert (result.runs, result.void, result.failed) == (4, 1, 1)
+    assert result.errors == ("E: x",)
+    assert result.pairs == {"2-1": 2}
+
+
+def test_goals_by_hand():
+    first = evaluate(
+        case(cars_derailed=10, duration_s=19.0, peak_force_MN=5.0, scene_length_m=50.0),
+        [record(), record(cars=12, duration=22.0)],
+    )
+    second = evaluate(
+        case(cars_derailed=8, duration_s=21.0, peak_force_MN=10.0, scene_width_m=25.0),
+        [record(), record()],
+    )
+    g = {goal.name: goal for goal in goals([first, second], LIMITS)}
+    assert g["count_rms"].value == pytest.approx(math.sqrt((1.0 + 4.0) / 2.0))
+    assert g["count_rms"].cases == 2
+    assert g["duration_rms_s"].value == pytest.approx(math.sqrt((4.0 + 1.0) / 2.0))
+    assert g["peak_inside_share"].value == 0.5
+    assert g["peak_log_ratio"].value == pytest.approx(0.5 * math.log(2.0))
+    assert g["length_rms"].value == pytest.approx(0.2)
+    assert g["width_rms"].value == pytest.approx(0.0)
+    assert not g["count_rms"].met
+    assert not g["peak_inside_share"].met
+    assert g["width_rms"].met
+
+
+def test_scatter_of_the_log_ratio_is_that_of_a_log_normal():
+    draws = np.exp(np.random.default_rng(0).normal(1.0, 0.3, 20_000))
+    result = evaluate(case(peak_force_MN=math.e), [record(peak=1e6 * d) for d in draws])
+    (goal,) = (g for g in goals([result], LIMITS) if g.name == "peak_log_ratio")
+    assert goal.scatter == pytest.approx(np.median(np.abs(np.log(draws) - 1.0)), rel=0.03)
+
+
+def test_a_goal_without_cases_is_not_met():
+    result = evaluate(case(), [record()])
+    assert all(g.value is None and not g.met for g in goals([result], LIMITS))
+
+
+def test_verdicts():
+    assert verdict(spread([10.0, 11.0, 12.0], 11.5), 1) == "in the band"
+    assert verdict(spread([10.0, 11.0, 12.0], 14.0), 1) == "mean 3.0 below"
+    assert verdict(spread([], 14.0), 1) == "no runs"
+    assert verdict(spread([1.0], None), 1) == ""
+
+
+# The whole ---------------------------------------------------------------------------------
+
+
+def fake_run(runs, jobs=None):
+    """Results out of order, in the manner of ``run_many``."""
+    made = []
+    for index, run in enumerate(runs):
+        outcome = SimpleNamespace(
+            cars_derailed=10 + run.member % 2, derailed_cars=(1,), duration=20.0 + run.member,
+            peak_force=4e6 + 1e6 * run.member, peak_force_pair=(2, 1), peak_force_time=3.0,
+            peak_resultant=5e6, cars_above_5MN=(2,), cars_above_10MN=(), scene_length=60.0,
+            scene_width=25.0, scene_area=1500.0, rear_stop=-3.0, max_coupler_gap=1e-9,
+            max_truck_offset=1e-9, energy_initial=1.0, energy={}, energy_residual=0.0, void=False,
+            status="at rest", time=21.0, steps=5, rejected_steps=0,
+        )  # fmt: skip
+        made.append(Result(index, run, outcome, None, 0.1))
+    yield from reversed(made)
+
+
+class FakeScenario:
+    def with_overrides(self, overrides):
+        return self
+
+    def to_params(self):
+        return "params"
+
+
+@pytest.fixture
+def comparison():
+    published = Published(
+        (
+            Case("a", "A train", "a", {"cars_derailed": 10, "peak_force_MN": 4.5}),
+            Case("b", "Another", "b", {"duration_s": 30.0}, {"train.speed_kmh": 30}),
+        ),
+        (Case("c", "Beside", "c", {"cars_derailed": 30}),),
+        LIMITS,
+    )
+    seen = []
+    result = validate(
+        4,
+        published=published,
+        load=lambda name: FakeScenario(),
+        run=fake_run,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert seen[-1] == (12, 12)
+    return result
+
+
+def test_cases_beside_count_in_no_goal(comparison):
+    (count,) = (g for g in comparison.goals if g.name == "count_rms")
+    assert count.cases == 1
+    assert count.value == pytest.approx(0.5)
+    assert len(comparison.beside) == 1
+
+
+def test_json(comparison):
+    data = json.loads(json.dumps(comparison.as_dict(), allow_nan=False))
+    assert data["cases"][0]["measures"]["cars_derailed"]["mean"] == 10.5
+    assert data["cases"][0]["measures"]["peak_force_MN"]["inside_band"] is True
+    assert data["cases"][1]["overrides"] == {"train.speed_kmh": 30}
+    assert data["passed"] is False
+
+
+def test_page(comparison):
+    page = markdown(comparison)
+    assert "| A train | 10.0 | 10.5 | 0.6 | 10.0 to 11.0 | in the band |" in page
+    assert "| Another | 30.0 | 21.5 |" in page
+    assert "**missed**" in page
+    assert "nan" not in page
+    assert max(len(line) for line in page.splitlines() if not line.startswith("|")) < 100
