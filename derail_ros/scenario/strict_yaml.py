@@ -213,7 +213,8 @@ class _Reader:
             if key in items:
                 first = self.marks[place].line
                 raise self._error(event, place, f"duplicate key, first given on line {first}")
-            self.marks[place] = Mark(self.file, event.start_mark.line + 1)
+            start: Any = event.start_mark
+            self.marks[place] = Mark(self.file, start.line + 1)
             items[key] = self._node(next(events), events, place)
         return items
 
