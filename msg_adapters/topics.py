@@ -94,6 +94,9 @@ TOPICS: dict[str, Topic] = {
     )
 }
 
+STATE_TOPICS = ("car_poses", "train_state", "coupler_states", "energy")
+"""Topics sent at each tick."""
+
 MANIFEST = Topic("manifest", "std_msgs/msg/String", 1, True, "first and last in a recording")
 """Topic of a recording, not of the node: where it comes from, as JSON."""
 

@@ -142,6 +142,16 @@ SIMULATOR = (
     Parameter(
         "start_paused", False, "load the first scenario paused instead of running it at once"
     ),
+    Parameter(
+        "await_listeners",
+        0,
+        "the first run begins when each state topic has so many subscribers, or after 10 s: "
+        "a recorder then gets it from its first message",
+        unit="1",
+        low=0,
+        high=100,
+        read_only=True,
+    ),
     Parameter("auto_exit", False, "end the node when the run has ended"),
     Parameter("allow_quit", False, "let `~/set_simulation_state` end the node"),
     Parameter(

@@ -21,7 +21,14 @@ from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
 from derail_ros.nodes.process import Stop, run_node
 from derail_ros.nodes.session import Prepared
 from msg_adapters.common import NANOSECONDS
-from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
+from msg_adapters.topics import (
+    STATE_TOPICS,
+    TOPICS,
+    Topic,
+    check_interfaces,
+    rclpy_class,
+    rclpy_qos,
+)
 
 CLOCK_GRACE = 0.6
 """Wall time in which another publisher of the clock may show itself, s."""
@@ -29,6 +36,8 @@ CLOCK_PROBATION = 5.0
 """Wall time in which one of two that began together gives way, s."""
 MATCH_WAIT = 1.0
 """Wall time for which a new run's first events wait for their subscribers, s."""
+LISTENERS_WAIT = 10.0
+"""Wall time for which the first run waits for listeners (parameter await_listeners), s."""
 EXIT_WAIT = 2.0
 """Wall time for which the end waits until everything has arrived, s."""
 
@@ -95,6 +104,10 @@ class NodeOutput:
             channel.publisher = self._publisher(channel.topic)
             channel.until = time.monotonic() + MATCH_WAIT
             channel.retired.append((old, channel.until))
+
+    def listeners(self, topics: Sequence[str]) -> int:
+        """Number of subscribers that each of the topics has at least."""
+        return min(self.channels[t].publisher.get_subscription_count() for t in topics)
 
     def pump(self) -> bool:
         """Release what waits; whether anything still does."""
@@ -189,6 +202,9 @@ class ClockGuard:
 def make_node_class() -> Any:
     """The node's class; made when it is needed, so that this module imports without ROS."""
     import rclpy.node
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.task import Future
+
     from derail_msgs.srv import (
         GetEvents,
         InjectRailBreak,
@@ -198,8 +214,6 @@ def make_node_class() -> Any:
         StepSimulation,
         TriggerEmergencyBrake,
     )
-    from rcl_interfaces.msg import SetParametersResult
-    from rclpy.task import Future
 
     class SimulatorNode(rclpy.node.Node):  # type: ignore[misc]
         """Services, parameters and topics around the core."""
@@ -217,8 +231,11 @@ def make_node_class() -> Any:
             self._prepared: Prepared | None = None
             self._events: list[Any] = []
             self._events_of = ""
+            self._first: Callable[[], None] | None = None
+            self._first_at = time.monotonic() + LISTENERS_WAIT
+            self._listeners = int(values["await_listeners"])
             if values["scenario"]:
-                self._first_load(str(values["scenario"]), bool(values["start_paused"]))
+                self._prepare_first(str(values["scenario"]), bool(values["start_paused"]))
             self.add_on_set_parameters_callback(self._check_parameters)
             self.add_post_set_parameters_callback(self._apply_parameters)
             for name, kind, callback in (
@@ -248,24 +265,43 @@ def make_node_class() -> Any:
                 name=self.get_name(),
             )
 
-        def _first_load(self, name: str, start_paused: bool) -> None:
+        def _prepare_first(self, name: str, start_paused: bool) -> None:
             prepared = self.core.prepare(name, "")
-            self.core.load(
-                prepared,
-                {"scenario_name": name, "start_paused": start_paused},
-                start_paused=start_paused,
-                caller="parameter scenario",
-            )
+            request = {"scenario_name": name, "start_paused": start_paused}
+
+            def load() -> None:
+                if self.core.session is None:
+                    self.core.load(
+                        prepared,
+                        request,
+                        start_paused=start_paused,
+                        caller="parameter scenario",
+                    )
+
+            self._first = load
+
+        def _begin_first(self) -> None:
+            """Load the first scenario when those who want to hear it do."""
+            missing = self.output.listeners(STATE_TOPICS) < self._listeners
+            if self._first is None or (missing and time.monotonic() < self._first_at):
+                return
+            if missing:
+                self.get_logger().warning("await_listeners: they did not come")
+            load, self._first = self._first, None
+            load()
 
         # --- the loop ------------------------------------------------------------------------
 
         def work(self) -> float:
             """Do what is due; returns the wall time until which nothing is."""
             self.guard.look()
+            self._begin_first()
             for load in [load for load in self._loads if load[0].done()]:
                 self._loads.remove(load)
                 load[1].set_result(load[0])
             due = self.core.work()
+            if self._first is not None:
+                due = min(due, time.monotonic() + 0.02)
             if self.output.pump():
                 due = min(due, time.monotonic() + 0.005)
             return due

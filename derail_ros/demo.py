@@ -1,0 +1,363 @@
+"""``make run``: the Mississauga derailment of 1979 in a real ROS 2 node, recorded.
+
+Simulator and recorder run as processes of their own and talk over a ROS 2 graph; this process
+listens to them, shows how the run goes, and in the end reads the recording back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SCENARIO = "mississauga"
+SPEED_FACTOR = 3.0
+LATEST = 8
+"""Events shown."""
+GIVE_UP = 300.0
+"""Wall time after which the demonstration gives up, s."""
+
+ACCIDENT = {"cars": "24", "scene": "132 x 39 m", "duration": "", "force": ""}
+PUBLISHED = {
+    "cars": "24",
+    "scene": "109 x 41.7 m",
+    "duration": "25.3 s",
+    "force": "23.1 MN, car 11 into 9",
+}
+"""What is known of the accident, and the published model (E. E. Toma, 1998)."""
+
+
+@dataclass
+class Heard:
+    """What the graph has told so far."""
+
+    time: float = 0.0
+    derailed: int = 0
+    peak: float = 0.0
+    status: str = "waiting for the simulator"
+    final: bool = False
+    events: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=LATEST))
+
+
+def environment() -> dict[str, str]:
+    """Environment of a graph of its own, on this machine only."""
+    # Domains up to 101 keep clear of the ports that the system gives out.
+    return os.environ | {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 101),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+def ros_value(value: Any) -> str:
+    """A parameter's value on a command line of ROS."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def start(
+    module: str, parameters: dict[str, Any], log: Path, env: dict[str, str]
+) -> subprocess.Popen[bytes]:
+    """Start a node as a process, its output going to a file."""
+    command = [sys.executable, "-m", module, "--ros-args"]
+    for name, value in parameters.items():
+        command += ["-p", f"{name}:={ros_value(value)}"]
+    with log.open("wb") as stream:
+        return subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, env=env)
+
+
+@contextlib.contextmanager
+def ended(processes: Sequence[subprocess.Popen[bytes]]) -> Iterator[None]:
+    """See to it that processes end, in the order given, whatever happens."""
+    try:
+        yield
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=15)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextlib.contextmanager
+def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
+    """Listen to the graph; gives a function that waits for what comes."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
+
+    os.environ.update(env)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("demonstration")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def on_clock(message: Any) -> None:
+        heard.time = message.clock.sec + 1e-9 * message.clock.nanosec
+
+    def on_event(message: Any) -> None:
+        heard.events.append((message.time, message.text))
+        heard.derailed += message.kind_name == "truck_derailed" and message.before != "derailed"
+
+    def on_outcome(message: Any) -> None:
+        heard.derailed = message.cars_derailed
+        heard.peak = message.peak_corner_force
+        heard.status, heard.final = message.status_name, message.is_final
+        heard.time = max(heard.time, message.time)
+
+    for name, callback in (
+        ("/clock", on_clock),
+        ("events", on_event),
+        ("outcome", on_outcome),
+    ):
+        topic = TOPICS[name]
+        node.create_subscription(
+            rclpy_class(topic.msgtype), topic.name, callback, rclpy_qos(topic)
+        )
+    try:
+        yield lambda seconds: executor.spin_once(timeout_sec=seconds)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def picture(heard: Heard, began: float) -> Any:
+    """What is shown while the run goes on."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    line = Text.assemble(
+        ("t = ", "dim"),
+        (f"{heard.time:5.1f} s", "bold"),
+        ("   cars derailed ", "dim"),
+        (f"{heard.derailed:2d}", "bold"),
+        ("   peak force ", "dim"),
+        (f"{heard.peak / 1e6:4.1f} MN", "bold"),
+        (f"   {heard.status}   (wall {time.monotonic() - began:.0f} s)", "dim"),
+    )
+    table = Table.grid(padding=(0, 1))
+    for moment, text in heard.events:
+        table.add_row(Text(f"{moment:7.2f} s", style="dim"), text)
+    return Group(line, table)
+
+
+# --- afterwards ------------------------------------------------------------------------------
+
+
+def last_messages(bag: Path) -> dict[str, Any]:
+    """The last message of each topic that the figures need, from the recording."""
+    from rosbags.rosbag2 import Reader
+
+    from msg_adapters.definitions import deserialize
+
+    wanted = {"consist", "track", "outcome", "train_state", "coupler_states"}
+    data: dict[str, tuple[bytes, str]] = {}
+    with Reader(bag) as reader:
+        connections = [c for c in reader.connections if c.topic.lstrip("/") in wanted]
+        for connection, _, raw in reader.messages(connections=connections):
+            data[connection.topic.lstrip("/")] = (raw, connection.msgtype)
+    return {name: deserialize(raw, kind) for name, (raw, kind) in data.items()}
+
+
+def scene(last: dict[str, Any], title: str) -> Any:
+    """The scene at the end of a recording."""
+    from derail_ros.review.scene import Scene
+
+    consist, state, outcome, track = (
+        last[name] for name in ("consist", "train_state", "outcome", "track")
+    )
+    line = np.stack([track.x, track.y], axis=-1)
+    heading = np.interp(track.rail_break_coordinate, track.s, track.heading)
+    straight = bool(np.ptp(track.heading) < 1e-9)
+    return Scene(
+        pose=np.stack([state.x, state.y, state.yaw], axis=-1),
+        length=consist.length,
+        width=consist.width,
+        pivot=consist.pivot_distance,
+        truck_on=np.stack([state.truck_status_front, state.truck_status_rear], axis=-1) == 1,
+        coupled=last["coupler_states"].coupled == 1,
+        represents=consist.represents_cars.astype(np.int64),
+        coupler=np.stack([state.coupler_angle_front, state.coupler_angle_rear], axis=-1),
+        coupler_length=np.stack(
+            [consist.coupler_length_front, consist.coupler_length_rear], axis=-1
+        ),
+        peak_force=outcome.car_peak_force,
+        track=line[[0, -1]] if straight else line,
+        breaks=np.stack([track.rail_break_x, track.rail_break_y, heading], axis=-1),
+        scene_length=outcome.scene_length,
+        scene_width=outcome.scene_width,
+        scene_area=outcome.scene_area,
+        straight=straight,
+        title=title,
+        subtitle=f"{outcome.cars_derailed} cars derailed, {outcome.duration:.1f} s",
+    )
+
+
+def draw(last: dict[str, Any], folder: Path, title: str) -> list[Path]:
+    """Draw the figures of a run."""
+    from derail_ros.review import figures
+
+    outcome = last["outcome"]
+    return [
+        figures.save(figures.final_scene(scene(last, title)), folder / "final_scene.png"),
+        figures.save(
+            figures.peak_forces(
+                outcome.car_peak_force,
+                outcome.car_peak_other_car.astype(np.int64),
+                time=outcome.car_peak_time,
+                derailed=outcome.derailed_cars.tolist(),
+                title=title,
+            ),
+            folder / "peak_forces.png",
+        ),
+    ]
+
+
+def comparison(outcome: Any, scenario: str) -> Any:
+    """Table of the outcome, for Mississauga beside the accident and the published model."""
+    from rich.table import Table
+
+    pair = f", car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else ""
+    here = {
+        "cars": str(outcome.cars_derailed),
+        "scene": f"{outcome.scene_length:.0f} x {outcome.scene_width:.0f} m",
+        "duration": f"{outcome.duration:.1f} s",
+        "force": f"{outcome.peak_corner_force / 1e6:.1f} MN{pair}",
+    }
+    columns = {"this run": here}
+    if scenario.startswith(SCENARIO):
+        columns |= {"the accident": ACCIDENT, "published model": PUBLISHED}
+    table = Table(title=f"{scenario}: {outcome.status_name} at {outcome.time:.1f} s")
+    table.add_column("")
+    for name in columns:
+        table.add_column(name)
+    for key, label in (
+        ("cars", "cars derailed"),
+        ("scene", "scene, length x width"),
+        ("duration", "duration"),
+        ("force", "largest collision force"),
+    ):
+        table.add_row(label, *(values[key] for values in columns.values()))
+    return table
+
+
+def show_log(log: Path) -> None:
+    """Print the end of a node's log."""
+    print(f"--- {log}", file=sys.stderr)
+    for line in log.read_text(errors="replace").splitlines()[-20:]:
+        print(line, file=sys.stderr)
+
+
+def watch(
+    heard: Heard, processes: Sequence[subprocess.Popen[bytes]], env: dict[str, str], began: float
+) -> None:
+    """Show the run until both nodes have ended, or one of them has failed."""
+    from rich.live import Live
+
+    with listening(heard, env) as spin, Live(refresh_per_second=8) as live:
+        shown = 0.0
+        while any(process.poll() is None for process in processes):
+            spin(0.1)
+            now = time.monotonic()
+            if now >= shown + 0.1:
+                shown = now
+                live.update(picture(heard, began))
+            if any(process.poll() not in (None, 0) for process in processes):
+                return
+            if now - began > GIVE_UP:
+                return
+        live.update(picture(heard, began))
+
+
+def run(scenario: str, speed_factor: float, output: Path | None) -> int:
+    """Run the demonstration; returns the exit code."""
+    from rich.console import Console
+
+    console = Console()
+    began = time.monotonic()
+    stamp = datetime.now().strftime("%Y-%m-%d_%H%M%S")
+    folder = (output or Path("runs") / f"{scenario}_{stamp}").resolve()
+    folder.mkdir(parents=True, exist_ok=False)
+    bag = folder / "bag"
+    env = environment()
+    heard = Heard()
+    recorder_log, simulator_log = folder / "recorder.log", folder / "simulator.log"
+    recorder = start(
+        "derail_ros.nodes.recorder",
+        {"path": bag, "stop_when_final": True},
+        recorder_log,
+        env,
+    )
+    simulator = start(
+        "derail_ros.nodes.simulator",
+        {
+            "scenario": scenario,
+            "speed_factor": float(speed_factor),
+            "await_listeners": 1,
+            "auto_exit": True,
+        },
+        simulator_log,
+        env,
+    )
+    console.print(
+        f"[bold]{scenario}[/bold] at {speed_factor:g} times real time: "
+        f"nodes [bold]simulator[/bold] and [bold]recorder[/bold], ROS_DOMAIN_ID {env['ROS_DOMAIN_ID']}"
+    )
+    with ended([simulator, recorder]):
+        try:
+            watch(heard, [simulator, recorder], env, began)
+        except KeyboardInterrupt:
+            console.print("interrupted: the recording is closed whole")
+    if simulator.returncode != 0 or recorder.returncode != 0 or not heard.final:
+        for process, log in ((simulator, simulator_log), (recorder, recorder_log)):
+            if process.returncode != 0 or not heard.final:
+                show_log(log)
+        return 1
+    last = last_messages(bag)
+    console.print(comparison(last["outcome"], scenario))
+    figures = draw(last, folder, scenario)
+    for line in recorder_log.read_text(errors="replace").splitlines():
+        if "missed" in line:
+            console.print(f"recorder: {line.rpartition(': ')[2]}", highlight=False)
+    console.print(f"recording: {bag}", highlight=False)
+    for path in figures:
+        console.print(f"figure:    {path}", highlight=False)
+    console.print(f"({time.monotonic() - began:.0f} s)", highlight=False)
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the demonstration."""
+    parser = argparse.ArgumentParser(prog="python -m derail_ros.demo", description=__doc__)
+    parser.add_argument("scenario", nargs="?", default=SCENARIO)
+    parser.add_argument("--speed-factor", type=float, default=SPEED_FACTOR)
+    parser.add_argument("--output", type=Path, help="folder to make (default: in ./runs)")
+    arguments = parser.parse_args(argv)
+    try:
+        import rclpy  # noqa: F401
+    except ImportError:
+        print("The demonstration needs ROS 2 (rclpy). Without it: derail simulate mississauga")
+        return 1
+    return run(arguments.scenario, arguments.speed_factor, arguments.output)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,149 @@
+"""The node ``recorder``: hears a simulator's topics and writes a rosbag2 recording."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import derail_ros
+from derail_ros.nodes import parameters as table
+from derail_ros.nodes.process import Stop, run_node
+from derail_ros.recording.listener import Listener
+from msg_adapters.topics import TOPICS, Topic, rclpy_class, rclpy_qos
+
+ROUND = 0.1
+"""Wall time after which the loop looks around even if nothing came, s."""
+
+
+def chosen_topics(names: Sequence[str]) -> list[Topic]:
+    """Topics by their names in the table; none: all but the clock.
+
+    A player makes a clock of its own, so a recorded one would only be in its way.
+    """
+    if not names:
+        return [topic for topic in TOPICS.values() if topic.name != "/clock"]
+    known = {topic.name.lstrip("/"): topic for topic in TOPICS.values()}
+    topics = []
+    for name in names:
+        topic = known.get(name.rpartition("/")[2])
+        if topic is None:
+            raise ValueError(f"topics: no topic {name!r}; there are {', '.join(known)}")
+        topics.append(topic)
+    return topics
+
+
+def make_node_class() -> Any:
+    """The node's class; made when it is needed, so that this module imports without ROS."""
+    import rclpy.node
+
+    class RecorderNode(rclpy.node.Node):  # type: ignore[misc]
+        """Subscriptions that hand their bytes to a :class:`Listener`."""
+
+        def __init__(self) -> None:
+            super().__init__("recorder")
+            values = table.declare(self, table.RECORDER)
+            self.stop_when_final = bool(values["stop_when_final"])
+            self.settle = float(values["settle"])  # type: ignore[arg-type]
+            depth = int(values["depth"])  # type: ignore[arg-type]
+            topics = chosen_topics(values["topics"])  # type: ignore[arg-type]
+            names = {self.resolve_topic_name(topic.name): topic for topic in topics}
+            self.listener = Listener(str(values["path"]), str(values["storage"]), names)
+            self._subscribed = []
+            for name, topic in names.items():
+                subscription = self.create_subscription(
+                    rclpy_class(topic.msgtype),
+                    topic.name,
+                    self._taker(name),
+                    rclpy_qos(topic, max(depth, topic.depth)),
+                    raw=True,
+                )
+                self._subscribed.append((name, subscription))
+            self.get_logger().info(f"recording {len(names)} topics to {values['path']}")
+
+        def _taker(self, name: str) -> Any:
+            # rclpy looks at the signature to decide whether to pass the second argument.
+            def take(data: bytes, info: Any) -> None:
+                self.listener.take(name, data, info)
+
+            return take
+
+        def drain(self) -> int:
+            """Take everything that waits, without a round of the executor for each message."""
+            taken = 0
+            for name, subscription in self._subscribed:
+                with subscription.handle:
+                    while True:
+                        item = subscription.handle.take_message(subscription.msg_type, True)
+                        if item is None:
+                            break
+                        self.listener.take(name, item[0], item[1])
+                        taken += 1
+            return taken
+
+        def tell(self) -> None:
+            """Report what was heard and what was missed."""
+            missed = {
+                name: (counts["lost"], counts["gaps"])
+                for name, counts in self.listener.report().items()
+                if counts["lost"] or counts["gaps"]
+            }
+            received = sum(c["received"] for c in self.listener.report().values())
+            for path in self.listener.closed:
+                self.get_logger().info(f"recording closed: {path}")
+            self.get_logger().info(f"{received} messages received")
+            for name, (lost, gaps) in missed.items():
+                self.get_logger().warning(
+                    f"{name}: {lost} messages missed by their numbers, {gaps} by their times"
+                )
+            if not missed:
+                self.get_logger().info("no message missed")
+
+    return RecorderNode
+
+
+def _run(stop: Stop, arguments: Sequence[str]) -> int:
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    node = make_node_class()()
+    executor.add_node(node)
+    try:
+        while not stop.asked:
+            executor.spin_once(timeout_sec=ROUND)
+            node.drain()
+            node.listener.release()
+            if node.stop_when_final and node.listener.complete(node.settle):
+                break
+        node.drain()
+    finally:
+        node.listener.close()
+        node.tell()
+        executor.shutdown()
+        node.destroy_node()
+    return 0
+
+
+def usage() -> str:
+    """Help on the command line."""
+    lines = [
+        f"recorder of derail_ros {derail_ros.__version__}: a ROS 2 node",
+        "",
+        "usage: recorder [--ros-args -p NAME:=VALUE ...]",
+        "",
+    ]
+    for p in table.RECORDER:
+        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to end; returns the exit code."""
+    return run_node(_run, argv, usage)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
