@@ -157,6 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 141
     except Exception as error:
         return _explain(error)
+    if code == 130:  # some versions of typer catch Ctrl-C themselves
+        return _fail("interrupted", 130)
     return code if isinstance(code, int) else 0
 
 

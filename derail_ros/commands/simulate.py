@@ -128,9 +128,7 @@ def _first(
 
     try:
         if output is not None:
-            from derail_ros.recording import record_run
-
-            record_run(simulation, scenario, output / "recording")
+            _record_run(simulation, scenario, output / "recording", show)
             outcome = simulation.outcome()
         else:
             outcome = advance(simulation, progress=show, slice_s=0.5)
@@ -139,6 +137,15 @@ def _first(
             (output / "failed_state.bin").write_bytes(simulation.to_bytes())
         return failed_record(describe(error), time.perf_counter() - began)
     return outcome_record(outcome, time.perf_counter() - began)
+
+
+def _record_run(simulation: Simulation, scenario: Scenario, path: Path, progress: Any) -> None:
+    from derail_ros.recording import RecordingError, record_run
+
+    try:
+        record_run(simulation, scenario, path, progress=progress)
+    except (RecordingError, OSError) as error:
+        raise CommandFailure(f"{path}: {error}", FAILED) from None
 
 
 def _record(result: Result) -> Record:

@@ -1,0 +1,48 @@
+"""A short derailment to run, and the command line called as a function."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+SMALL = """\
+version: 1
+title: A short train
+train:
+  speed_kmh: 25
+  consist:
+    - {car: source_base_car, count: 6}
+track:
+  rail_breaks: [0]
+initiation:
+  position_m: 0
+  derailed_trucks:
+    - {car: 1, truck: both}
+  lateral_force_N: 50e3
+  lateral_force_car: 1
+  lateral_force_place: front
+  lateral_force_duration_s: 1.0
+"""
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Path of a scenario that takes a moment to run."""
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL, encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture
+def derail(capsys):
+    """``derail(*arguments)`` -> exit code, stdout, stderr, parsed JSON."""
+    from derail_ros.cli import main
+
+    def call(*arguments):
+        capsys.readouterr()
+        code = main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        value = json.loads(out) if "--json" in arguments and out else None
+        return SimpleNamespace(code=code, out=out, err=err, json=value)
+
+    return call

@@ -1,0 +1,128 @@
+"""The command line from outside: speed of help, errors in one line, signals, exit codes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PYTHON = [sys.executable, "-m", "derail_ros.cli"]
+
+
+def shell(*arguments, **kwargs):
+    return subprocess.run(
+        [*PYTHON, *arguments], capture_output=True, text=True, timeout=280, **kwargs
+    )
+
+
+def test_help_is_quick():
+    times = []
+    for _ in range(5):
+        began = time.perf_counter()
+        answer = shell("--help")
+        times.append(time.perf_counter() - began)
+        assert answer.returncode == 0
+        assert "simulate" in answer.stdout
+    if os.environ.get("DERAIL_TIMING", "") == "1":  # a loaded machine proves nothing
+        assert min(times) < 0.3
+
+
+@pytest.mark.parametrize("command", ["", "simulate", "scenarios", "estimate", "validate"])
+def test_help_imports_nothing_heavy(command):
+    code = (
+        "import sys; from derail_ros.cli import main\n"
+        f"code = main({[*command.split(), '--help']!r})\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'matplotlib', 'yaml', 'rosbags', 'rclpy'}\n"
+        "found = heavy & set(sys.modules)\n"
+        "sys.exit(code if not found else f'imported {found}')"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    assert "--help" in answer.stdout
+
+
+def test_no_arguments_show_the_help(derail):
+    answer = derail()
+    assert answer.code == 0
+    assert "Usage" in answer.out
+
+
+def test_version(derail):
+    from derail_ros import __version__
+
+    assert derail("--version").out.strip() == f"derail_ros {__version__}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulat"], "No such command"),
+        (["simulate"], "scenario"),
+        (["simulate", "no_such_train"], "no_such_train"),
+        (["simulate", "/no/such/file.yaml"], "/no/such/file.yaml"),
+        (["simulate", "base_train", "--set", "train.speed_kmh=-3"], "train.speed_kmh"),
+        (["simulate", "base_train", "--set", "train.sped_kmh=3"], "train.sped_kmh"),
+        (["simulate", "base_train", "--set", "nothing"], "--set"),
+        (["simulate", "base_train", "--ensemble", "0"], "--ensemble"),
+        (["simulate", "base_train", "--jobs", "0"], "--jobs"),
+        (["simulate", "base_train", "--seed", "-1"], "--seed"),
+        (["estimate", "bar-4"], "bar-4"),
+        (["estimate", "bar-1", "--cars", "some"], "--cars"),
+        (["estimate", "bar-1", "--speed-kmh", "-10"], "speed"),
+        (["estimate", "bar-2", "--form", "right"], "form"),
+    ],
+)
+def test_bad_input_is_one_line_and_2(derail, arguments, words):
+    answer = derail(*arguments)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert words.lower() in answer.err.lower()
+    assert len(answer.err.strip().splitlines()) == 1
+    assert answer.err.startswith("derail: ")
+
+
+def test_a_mistake_in_a_file_names_the_line(derail, small):
+    with open(small, "a", encoding="utf-8") as file:
+        file.write("brakes:\n  delay_s: soon\n")
+    answer = derail("simulate", small)
+    assert answer.code == 2
+    assert "small.yaml:18: brakes.delay_s: " in answer.err
+
+
+def test_a_folder_with_something_in_it_is_refused(derail, small, tmp_path):
+    answer = derail("simulate", small, "-o", tmp_path)
+    assert answer.code == 2
+    assert "not empty" in answer.err
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    process = subprocess.Popen(
+        [*PYTHON, "scenarios"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    _, err = process.communicate(timeout=60)
+    assert b"Traceback" not in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_interrupted(number, jobs, small):
+    from derail_ros.engine import warm_up
+
+    warm_up()
+    process = subprocess.Popen(
+        [*PYTHON, "simulate", small, "--ensemble", "100000", "--jobs", jobs, "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(4.0)
+    assert process.poll() is None
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert err.strip().splitlines()[-1] == "derail: interrupted"
+    assert "Traceback" not in err

@@ -1,0 +1,255 @@
+"""``derail simulate`` in real runs of a short train."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from derail_ros.studies.ensemble import member_factor
+
+KEYS = {
+    "cars_derailed",
+    "derailed_cars",
+    "duration_s",
+    "peak_force_N",
+    "peak_force_pair",
+    "peak_force_time_s",
+    "scene_length_m",
+    "scene_width_m",
+    "scene_area_m2",
+    "max_coupler_gap_m",
+    "void",
+    "steps",
+    "wall_s",
+    "energy_J",
+    "energy_residual",
+    "cars_above_5MN",
+    "cars_above_10MN",
+}
+
+
+def physics(record):
+    """A record without what differs between two equal runs."""
+    return {k: v for k, v in record.items() if k != "wall_s"}
+
+
+def test_one_run_as_json(derail, small):
+    answer = derail("simulate", small, "--json")
+    assert answer.code == 0
+    assert answer.json["scenario"] == "small"
+    (outcome,) = answer.json["outcomes"]
+    assert outcome.keys() >= KEYS
+    assert outcome["derailed_cars"][0] == 1
+    assert outcome["cars_derailed"] == len(outcome["derailed_cars"])
+    assert outcome["duration_s"] > 1.0
+    assert outcome["scene_area_m2"] == pytest.approx(
+        outcome["scene_length_m"] * outcome["scene_width_m"]
+    )
+    assert not outcome["void"]
+    assert answer.json["mean"]["cars_derailed"] == outcome["cars_derailed"]
+    assert answer.json["sd"]["cars_derailed"] is None
+    assert answer.json["void"] == 0
+    assert answer.json["failed"] == 0
+
+
+def test_one_run_as_a_table(derail, small):
+    answer = derail("simulate", small)
+    assert answer.code == 0
+    for words in ("A short train", "cars derailed", "peak force (MN)", "stopped by"):
+        assert words in answer.out
+
+
+def test_settings_change_the_run(derail, small):
+    slow = derail("simulate", small, "--set", "train.speed_kmh=10", "--json")
+    fast = derail("simulate", small, "--set", "train.speed_kmh=30", "--json")
+    assert slow.json["hash"] != fast.json["hash"]
+    assert slow.json["outcomes"][0]["duration_s"] < fast.json["outcomes"][0]["duration_s"]
+
+
+@pytest.fixture
+def ensemble(derail, small):
+    return derail("simulate", small, "--ensemble", 5, "--seed", 7, "--jobs", 1, "--json")
+
+
+def test_an_ensemble_does_not_depend_on_the_jobs(derail, small, ensemble):
+    again = derail("simulate", small, "--ensemble", 5, "--seed", 7, "--jobs", 3, "--json")
+    assert [physics(r) for r in again.json["outcomes"]] == [
+        physics(r) for r in ensemble.json["outcomes"]
+    ]
+    assert physics(again.json["mean"]) == physics(ensemble.json["mean"])
+    assert physics(again.json["sd"]) == physics(ensemble.json["sd"])
+
+
+def test_member_0_is_the_scenario_and_the_others_differ(derail, small, ensemble):
+    alone = derail("simulate", small, "--json")
+    first, *others = (physics(r) for r in ensemble.json["outcomes"])
+    assert first == physics(alone.json["outcomes"][0])
+    assert all(other["energy_J"] != first["energy_J"] for other in others)
+
+
+def test_a_member_is_a_run_with_its_force(derail, small, ensemble):
+    force = 50e3 * member_factor(7, 3)
+    setting = f"initiation.lateral_force_N={force!r}"
+    alone = derail("simulate", small, "--set", setting, "--json")
+    assert physics(alone.json["outcomes"][0]) == physics(ensemble.json["outcomes"][3])
+
+
+def test_a_longer_ensemble_begins_with_the_shorter_one(derail, small, ensemble):
+    longer = derail("simulate", small, "--ensemble", 7, "--seed", 7, "--json")
+    assert [physics(r) for r in longer.json["outcomes"][:5]] == [
+        physics(r) for r in ensemble.json["outcomes"]
+    ]
+
+
+def test_another_seed_is_another_ensemble(derail, small, ensemble):
+    other = derail("simulate", small, "--ensemble", 5, "--seed", 8, "--json")
+    assert physics(other.json["outcomes"][1]) != physics(ensemble.json["outcomes"][1])
+
+
+def test_mean_and_sd(ensemble):
+    durations = [r["duration_s"] for r in ensemble.json["outcomes"]]
+    assert ensemble.json["mean"]["duration_s"] == pytest.approx(np.mean(durations))
+    assert ensemble.json["sd"]["duration_s"] == pytest.approx(np.std(durations, ddof=1), abs=1e-12)
+    assert ensemble.json["members"] == 5
+
+
+def test_an_ensemble_as_a_table(derail, small):
+    answer = derail("simulate", small, "--ensemble", 3)
+    assert answer.code == 0
+    for words in ("mean", "sd", "member 0", "3 runs"):
+        assert words in answer.out
+
+
+# Failures ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Make runs fail whose lateral force is one of those given; None for all."""
+    from derail_ros.engine import Simulation, StepSizeError
+
+    real = Simulation.advance_to
+
+    def arrange(forces):
+        def advance_to(self, t):
+            force = self.params.initiation.lateral_forces[0].force
+            chosen = forces is None or any(abs(force - f) < 1e-6 for f in forces)
+            if chosen and self.n_cars == 6:  # not the train that warms up the kernels
+                raise StepSizeError("the step fell below its floor", self)
+            return real(self, t)
+
+        monkeypatch.setattr(Simulation, "advance_to", advance_to)
+
+    return arrange
+
+
+def test_a_failed_run_is_an_outcome_and_3(derail, small, failing):
+    failing(None)
+    answer = derail("simulate", small, "--json")
+    assert answer.code == 3
+    assert "StepSizeError" in answer.json["outcomes"][0]["error"]
+    assert answer.json["failed"] == 1
+    assert answer.json["mean"] == {}
+    assert "StepSizeError" in answer.err
+    assert len(answer.err.strip().splitlines()) == 1
+
+
+def test_a_failed_run_leaves_its_state(derail, small, failing, tmp_path):
+    from derail_ros.engine import Simulation
+
+    failing(None)
+    folder = tmp_path / "results"
+    assert derail("simulate", small, "-o", folder).code == 3
+    state = Simulation.from_bytes((folder / "failed_state.bin").read_bytes())
+    assert state.n_cars == 6
+
+
+def test_a_failed_member_leaves_the_others(derail, small, failing):
+    failing([50e3 * member_factor(7, 2)])
+    answer = derail("simulate", small, "--ensemble", 4, "--seed", 7, "--json")
+    assert answer.code == 0
+    assert ["error" in r for r in answer.json["outcomes"]] == [False, False, True, False]
+    assert answer.json["failed"] == 1
+    good = [r["duration_s"] for r in answer.json["outcomes"] if "error" not in r]
+    assert answer.json["mean"]["duration_s"] == pytest.approx(np.mean(good))
+    assert "member 2 failed" in answer.err
+
+
+def test_void_members_are_counted_and_left_out(derail, small):
+    virtual = ["--set", "train.virtual_from=3", "--set", "train.speed_kmh=60"]
+    answer = derail("simulate", small, *virtual, "--ensemble", 2, "--json")
+    assert answer.code == 0
+    assert answer.json["void"] == 2
+    assert [r["void"] for r in answer.json["outcomes"]] == [True, True]
+    assert answer.json["mean"] == {}
+    table = derail("simulate", small, *virtual)
+    assert "model more cars" in " ".join(table.out.split())
+
+
+# Files -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def results(derail, small, tmp_path):
+    folder = tmp_path / "results"
+    answer = derail("simulate", small, "--ensemble", 3, "--seed", 1, "-o", folder, "--json")
+    assert answer.code == 0, answer.err
+    return folder, answer
+
+
+def test_files_of_an_ensemble(results):
+    folder, answer = results
+    for name in ("final_scene.png", "peak_forces.png"):
+        assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert json.loads((folder / "outcomes.json").read_text()) == answer.json
+    with (folder / "outcomes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["member"] for row in rows] == ["0", "1", "2"]
+    assert float(rows[1]["duration_s"]) == answer.json["outcomes"][1]["duration_s"]
+    assert "nan" not in (folder / "outcomes.csv").read_text().lower()
+
+
+def test_manifest(results):
+    from derail_ros.scenario import loads_scenario
+
+    folder, answer = results
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["seed"] == 1
+    assert manifest["ensemble"] == 3
+    assert manifest["scenario_hash"] == answer.json["hash"]
+    assert manifest["software"]["derail_ros"]
+    assert set(manifest["files"]) == {p.name for p in folder.iterdir()}
+    again = loads_scenario(json.dumps(manifest["scenario"]))
+    assert again.hash == manifest["scenario_hash"]
+
+
+def test_recording_is_of_member_0(results):
+    from rosbags.highlevel import AnyReader
+
+    folder, answer = results
+    with AnyReader([folder / "recording"]) as reader:
+        topics = {c.topic for c in reader.connections}
+        assert {"/car_poses", "/train_state", "/events", "/outcome", "/consist"} <= topics
+        end = 1e-9 * (reader.end_time - reader.start_time)
+    assert end >= answer.json["outcomes"][0]["duration_s"] - 0.5
+
+
+# Shipped scenarios -------------------------------------------------------------------------
+
+
+def test_scenarios(derail):
+    answer = derail("scenarios", "--json")
+    names = [s["name"] for s in answer.json["scenarios"]]
+    assert {"mississauga", "mississauga_published", "base_train"} <= set(names)
+    table = derail("scenarios")
+    assert all(name in table.out for name in names)
+
+
+def test_mississauga_published(derail):
+    answer = derail("simulate", "mississauga_published", "--json")
+    (outcome,) = answer.json["outcomes"]
+    assert 20 <= outcome["cars_derailed"] <= 24
+    assert 20.0 < outcome["duration_s"] < 32.0
+    assert outcome["max_coupler_gap_m"] < 1e-6
+    assert outcome["energy_residual"] < 1e-3
