@@ -11,8 +11,9 @@ ARGUMENTS = {
     "scenario": ("mississauga", "name of the scenario"),
     "speed_factor": ("1.0", "simulation time per wall time; 0 is as fast as possible"),
     "record": ("", "path of a lossless recording that the simulator writes; empty for none"),
+    "await_listeners": ("0", "begin when each state topic has so many subscribers"),
 }
-TYPES = {"scenario": str, "speed_factor": float, "record": str}
+TYPES = {"scenario": str, "speed_factor": float, "record": str, "await_listeners": int}
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -29,7 +29,8 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=[{"path": bag}],
             ),
             IncludeLaunchDescription(
-                PathJoinSubstitution([share, "launch", "simulator.launch.py"])
+                PathJoinSubstitution([share, "launch", "simulator.launch.py"]),
+                launch_arguments={"await_listeners": "1"}.items(),
             ),
         ]
     )

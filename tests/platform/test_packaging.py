@@ -183,7 +183,8 @@ def modules(arguments) -> dict[str, set[str]]:
     extras = arguments["extras_require"]
     ros = {re.sub(r"^ros_", "", module) for module in of(extras["ros"])}
     return {
-        "base": of(arguments["install_requires"]) | {"llvmlite"},  # numba's own
+        "base": of(arguments["install_requires"])
+        | {"llvmlite", "pydantic_core", "annotated_types"},  # of numba and pydantic
         "ros": ros | {"derail_msgs", "rcl_interfaces"},
         "studies": of(extras["studies"]) | {"distributed"},
         "figures": {"mpl_toolkits"},
@@ -244,6 +245,21 @@ def test_launch_files_compile():
             assert "generate_launch_description" in {
                 node.name for node in tree.body if isinstance(node, ast.FunctionDef)
             }
+
+
+def test_arguments_of_the_launch_file_have_the_defaults_of_the_node():
+    yaml = pytest.importorskip("yaml")
+    text = (ROOT / "config" / "simulator.yaml").read_text(encoding="utf-8")
+    parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
+    tree = ast.parse((ROOT / "launch" / "simulator.launch.py").read_text(encoding="utf-8"))
+    table = next(
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and node.targets[0].id == "ARGUMENTS"
+    )
+    assert {name: default for name, (default, _) in table.items()} == {
+        name: str(parameters[name]) for name in table
+    }
 
 
 def test_launch_files_describe():
