@@ -128,6 +128,10 @@ def validate(
     members: Annotated[int, typer.Option("--ensemble", "-n", min=2, help="Runs a case.")] = 20,
     seed: Seed = 0,
     jobs: Jobs = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Change a value in all cases."),
+    ] = None,
     as_json: Json = False,
     write: Annotated[
         bool, typer.Option("--write", help="Write docs/validation.md (or --to) as well.")
@@ -139,7 +143,7 @@ def validate(
     """Compare ensembles with the published runs."""
     from derail_ros.commands import validate as command
 
-    return command.run(members, seed, jobs, as_json, to if write else None)
+    return command.run(members, seed, jobs, settings or [], as_json, to if write else None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

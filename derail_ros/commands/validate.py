@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,14 @@ from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 
 
-def run(members: int, seed: int, jobs: int | None, as_json: bool, page: Path | None) -> int:
+def run(
+    members: int,
+    seed: int,
+    jobs: int | None,
+    settings: Sequence[str],
+    as_json: bool,
+    page: Path | None,
+) -> int:
     """Compare and report; the exit code tells whether runs failed, not whether goals were met."""
     from rich.progress import (
         BarColumn,
@@ -19,8 +27,12 @@ def run(members: int, seed: int, jobs: int | None, as_json: bool, page: Path | N
         TimeRemainingColumn,
     )
 
+    from derail_ros.scenario import parse_set
     from derail_ros.studies import validation as v
 
+    overrides = dict(parse_set(text) for text in settings)
+    if page is not None and overrides:
+        raise CommandFailure("--write is for the model as it is, without --set")
     if page is not None and not page.parent.is_dir():
         raise CommandFailure(f"{page}: there is no folder {page.parent}")
     common.warm_up()
@@ -37,7 +49,7 @@ def run(members: int, seed: int, jobs: int | None, as_json: bool, page: Path | N
         def show(done: int, total: int) -> None:
             bars.update(task, completed=done, total=total)
 
-        result = v.validate(members, seed, jobs=jobs, progress=show)
+        result = v.validate(members, seed, jobs=jobs, settings=overrides, progress=show)
     if page is not None:
         page.write_text(v.markdown(result), encoding="utf-8")
         note(f"derail: wrote {page}")

@@ -292,6 +292,7 @@ class Validation:
 
     members: int
     seed: int
+    settings: Mapping[str, Any]
     cases: tuple[CaseResult, ...]
     beside: tuple[CaseResult, ...]
     goals: tuple[Goal, ...]
@@ -307,6 +308,7 @@ class Validation:
         return {
             "members": self.members,
             "seed": self.seed,
+            "settings": dict(self.settings),
             "cases": [c.as_dict() for c in self.cases],
             "beside": [c.as_dict() for c in self.beside],
             "goals": [g.as_dict() for g in self.goals],
@@ -314,11 +316,9 @@ class Validation:
         }
 
 
-def _runs(cases: Sequence[Case], members: int, seed: int, load: Loader) -> Iterator[Run]:
-    for number, case in enumerate(cases):
-        yield from ensemble_runs(
-            load(case.scenario), members, seed=seed, overrides=case.overrides, key=number
-        )
+def _runs(scenarios: Sequence[ScenarioLike], members: int, seed: int) -> Iterator[Run]:
+    for number, scenario in enumerate(scenarios):
+        yield from ensemble_runs(scenario, members, seed=seed, key=number)
 
 
 def _task_record(result: Result) -> dict[str, Any]:
@@ -332,6 +332,7 @@ def validate(
     seed: int = 0,
     *,
     jobs: int | None = None,
+    settings: Mapping[str, Any] | None = None,
     published: Published | None = None,
     load: Loader | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -344,6 +345,7 @@ def validate(
     members : runs a case; the first is the case itself
     seed : of the variation of the lateral force
     jobs : runs at a time
+    settings : dotted path -> value for all cases, to see what another constant would do
     published : cases; those that come with the package by default
     load : scenario by name; ``derail_ros.scenario.load_scenario`` by default
     progress : told ``(done, total)`` after each run
@@ -355,9 +357,14 @@ def validate(
         from derail_ros.scenario import load_scenario as load
 
     everything = (*published.cases, *published.beside)
+    # All of them before the first run: a mistake is not found after minutes.
+    scenarios = [
+        load(case.scenario).with_overrides({**case.overrides, **(settings or {})})
+        for case in everything
+    ]
     records: list[list[Any]] = [[None] * members for _ in everything]
     total, done = members * len(everything), 0
-    with closing(run(_runs(everything, members, seed, load), jobs=jobs)) as results:
+    with closing(run(_runs(scenarios, members, seed), jobs=jobs)) as results:
         for result in results:
             records[result.run.key][result.run.member] = _task_record(result)
             done += 1
@@ -368,6 +375,7 @@ def validate(
     return Validation(
         members=members,
         seed=seed,
+        settings=settings or {},
         cases=tuple(compared[:split]),
         beside=tuple(compared[split:]),
         goals=tuple(goals(compared[:split], published.goals)),

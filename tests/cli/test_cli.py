@@ -1,6 +1,5 @@
 """The command line from outside: speed of help, errors in one line, signals, exit codes."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -18,15 +17,18 @@ def shell(*arguments, **kwargs):
 
 
 def test_help_is_quick():
-    times = []
+    """Within 0.3 s, where Python itself starts within 0.06 s; a slower machine gets longer."""
+    times, bare = [], []
     for _ in range(5):
         began = time.perf_counter()
         answer = shell("--help")
         times.append(time.perf_counter() - began)
         assert answer.returncode == 0
         assert "simulate" in answer.stdout
-    if os.environ.get("DERAIL_TIMING", "") == "1":  # a loaded machine proves nothing
-        assert min(times) < 0.3
+        began = time.perf_counter()
+        subprocess.run([sys.executable, "-c", ""], check=True)
+        bare.append(time.perf_counter() - began)
+    assert min(times) < 0.3 * max(1.0, min(bare) / 0.06)
 
 
 @pytest.mark.parametrize("command", ["", "simulate", "scenarios", "estimate", "validate"])
