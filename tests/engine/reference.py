@@ -92,7 +92,7 @@ def knuckle(n, c0, c1, c2):
     """Moment against the angle, zero up to the smaller root of its polynomial."""
     root = min(np.roots([c2, c1, c0]).real)
     u = abs(n)
-    return -math.copysign(c0 + c1 * u + c2 * u * u, n) if u > root else 0.0
+    return -np.sign(n) * (c0 + c1 * u + c2 * u * u) if u > root else 0.0
 
 
 def corner_list(x, y, theta, length, width):
@@ -330,6 +330,8 @@ class Reference:
                 r = {"front": c.truck_distance, "rear": -c.truck_distance}.get(f.place, 0.0)
                 push(f.car - 1, on_axis(f.car - 1, r), np.array([0.0, f.force]))
         law = p.contact
+        if law.c1 == law.c2 == law.c3 == 0.0:
+            return out
         for i in range(self.n):
             for j in range(i + 1, self.n):
                 a, b = p.cars[i], p.cars[j]

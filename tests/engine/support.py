@@ -18,7 +18,6 @@ from derail_ros.engine import (
     CouplerType,
     GroundParams,
     InitiationParams,
-    IntegrationParams,
     Simulation,
     TrackParams,
     TrackSegment,
@@ -125,9 +124,8 @@ def free_train(cars, **options):
     return make_train(cars, derailed=all_trucks(n), **options)
 
 
-def smooth_law(**changes):
-    """Contact law that does nothing, for runs that are about something else."""
-    return ContactParams(**{"c1": 0.0, "c2": 0.0, "c3": 0.0, **changes})
+NO_CONTACT = ContactParams(c1=0.0, c2=0.0, c3=0.0)
+"""Contact law that does nothing, for runs that are about something else."""
 
 
 CURVE = TrackParams(
@@ -159,8 +157,8 @@ def tight(params, rtol=1e-10, **changes):
 
 
 def fixed_steps(params, h):
-    """The same run in steps of ``h``, whatever the error."""
-    return with_integration(params, rtol=1e-1, max_step=h, buffer_fraction=1e3)
+    """The same run in steps of ``h``, whatever the error (slow motion: no corner's way caps it)."""
+    return with_integration(params, rtol=1e-1, max_step=h)
 
 
 def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
@@ -232,12 +230,7 @@ def same_run(a, b):
     )
 
 
-def relative(a, b):
-    """Largest difference, in units of the largest entry of ``b``."""
+def relative(a, b, floor=1e-3):
+    """Largest difference, in units of the largest entry of ``b`` (at least ``floor``)."""
     a, b = np.asarray(a), np.asarray(b)
-    scale = float(np.max(np.abs(b), initial=0.0))
-    error = float(np.max(np.abs(a - b), initial=0.0))
-    return error / scale if scale > 0.0 else error
-
-
-INTEGRATION = IntegrationParams()
+    return float(np.max(np.abs(a - b), initial=0.0) / np.max(np.abs(b), initial=floor))
