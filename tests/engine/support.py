@@ -157,7 +157,7 @@ def tight(params, rtol=1e-10, **changes):
 
 
 def fixed_steps(params, h):
-    """The same run in steps of ``h``, whatever the error (slow motion: no corner's way caps it)."""
+    """The same run in steps of ``h`` whatever the error (for slow motion, which has no cap)."""
     return with_integration(params, rtol=1e-1, max_step=h)
 
 
@@ -230,7 +230,7 @@ def same_run(a, b):
     )
 
 
-def relative(a, b, floor=1e-3):
+def relative(a, b, floor=1.0):
     """Largest difference, in units of the largest entry of ``b`` (at least ``floor``)."""
     a, b = np.asarray(a), np.asarray(b)
     return float(np.max(np.abs(a - b), initial=0.0) / np.max(np.abs(b), initial=floor))
