@@ -319,7 +319,8 @@ def run(scenario: str, speed_factor: float, output: Path | None) -> int:
     )
     console.print(
         f"[bold]{scenario}[/bold] at {speed_factor:g} times real time: "
-        f"nodes [bold]simulator[/bold] and [bold]recorder[/bold], ROS_DOMAIN_ID {env['ROS_DOMAIN_ID']}"
+        "nodes [bold]simulator[/bold] and [bold]recorder[/bold], "
+        f"ROS_DOMAIN_ID {env['ROS_DOMAIN_ID']}"
     )
     with ended([simulator, recorder]):
         try:

@@ -48,6 +48,8 @@ def record_run(
 
     Raises
     ------
+    ValueError
+        If the simulation is not at its start.
     RecordingError
         If the recording cannot be written.
     SimulationError
@@ -55,6 +57,8 @@ def record_run(
     """
     from derail_ros.nodes.session import Rates, Session, prepared_of
 
+    if simulation.step_count:
+        raise ValueError("the simulation must be at its start")
     settings = {"state_rate": state_rate, "marker_rate": marker_rate, "storage": storage}
     manifest = Manifest(settings=settings)
     with RunRecorder(path, storage) as recorder:
