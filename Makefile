@@ -46,8 +46,7 @@ endef
 
 MSGS_SOURCES := derail_msgs/CMakeLists.txt derail_msgs/package.xml derail_msgs/pyproject.toml \
   $(wildcard derail_msgs/msg/*.msg derail_msgs/srv/*.srv)
-PROJECT_SOURCES := setup.py setup.cfg pyproject.toml constraints.txt Makefile \
-  $(wildcard scripts/* launch/*.launch.py) package.xml
+PROJECT_SOURCES := setup.py setup.cfg pyproject.toml constraints.txt derail_ros/__init__.py
 ifeq ($(ROS),0)
 EXTRAS := studies,dev
 PARTS := $(STAMPS)/project
