@@ -198,9 +198,18 @@ def validate(params: TrainParams) -> None:
 
 def check_trigger(mode: str, source: str, car: int, delay: float, n: int, where: str) -> None:
     """Refuse an emergency application that cannot be made."""
-    require(mode in ARRIVALS, f"{where}.mode", f"must be one of {', '.join(ARRIVALS)}")
-    require(source in SOURCES, f"{where}.source", f"must be one of {', '.join(SOURCES)}")
+    require(isinstance(mode, str) and mode in ARRIVALS, f"{where}.mode", f"must be one of {', '.join(ARRIVALS)}")
+    require(
+        isinstance(source, str) and source in SOURCES,
+        f"{where}.source",
+        f"must be one of {', '.join(SOURCES)}",
+    )
     if source == "car":
+        require(
+            isinstance(car, (int, np.integer)) and not isinstance(car, bool),
+            f"{where}.car",
+            f"must be a whole number, not {car!r}",
+        )
         require(1 <= car <= n, f"{where}.car", f"there is no car {car}")
     finite(delay, f"{where}.delay", 0.0)
 
@@ -250,13 +259,19 @@ def build_model(params: TrainParams, track: Track) -> Model:
     par[L.REST_HOLD] = m.rest_hold
     par[L.T_LIMIT] = m.time_limit
     par[L.METHOD] = METHODS[m.method]
+    traction = p.brakes.traction_coefficient * GRAVITY
 
     car = np.zeros((n, L.N_CAR))
     units: list[list[float]] = []
     unit_start = np.zeros(n + 1, dtype=np.int64)
     number = 1
+    distance = 0.0
     for i, k in enumerate(p.cars):
         half_l, half_w = 0.5 * k.length, 0.5 * k.width
+        if i:
+            ahead = p.cars[i - 1]
+            distance += ahead.pivot_distance + ahead.rear.length
+            distance += k.front.length + k.pivot_distance
         car[i] = (
             k.mass,
             k.inertia,
@@ -279,6 +294,9 @@ def build_model(params: TrainParams, track: Track) -> Model:
             k.rear.damping,
             math.hypot(half_l, half_w),
             float(k.represents > 1),
+            distance,
+            math.sqrt(k.inertia / k.mass),
+            math.sqrt(k.coupler_inertia / k.mass),
         )
         for j, u in enumerate(k.brakes):
             units.append(
@@ -287,9 +305,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
                     u.distance,
                     p.brakes.force * u.scale,
                     SHOES[u.shoe],
-                    0.0
-                    if u.shoe == "none"
-                    else p.brakes.traction_coefficient * u.weight * GRAVITY,
+                    traction * u.weight if u.shoe != "none" else 0.0,
                     u.delay,
                     number + min(j, k.represents - 1),
                 ]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.forces import angles, generalized_forces
+from derail_ros.engine.forces import generalized_forces
 from derail_ros.engine.jit import jit, keep_separate
 from derail_ros.engine.solver import (
     acceleration_gamma,
@@ -19,6 +19,7 @@ from derail_ros.engine.solver import (
     truck_rate,
     truck_rows,
 )
+from derail_ros.engine.trigonometry import angles
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

@@ -1,7 +1,7 @@
 """Generalized forces on all cars at a state, and the power of each.
 
-The coordinates of a car are ``(X, Y, theta, alpha, beta)``. A force (fx, fy) at the offset (rx, ry)
-from the mass centre adds (fx, fy) and the moment ``rx fy - ry fx``.
+The coordinates of a car are ``(X, Y, theta, alpha, beta)``. A force (fx, fy) at the offset
+(rx, ry) from the mass centre adds (fx, fy) and the moment ``rx fy - ry fx``.
 """
 
 from __future__ import annotations
@@ -33,21 +33,10 @@ from derail_ros.engine.laws.contact import (
 from derail_ros.engine.laws.ground import BODY_POINTS, drag
 from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
 from derail_ros.engine.laws.striker import spring_energy, spring_force
+from derail_ros.engine.trigonometry import angles
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-
-
-@inner_jit
-def angles(q: F64, wk: F64) -> None:
-    """Sines and cosines of all angles."""
-    for i in range(q.shape[0]):
-        wk[i, L.W_CT] = math.cos(q[i, 2])
-        wk[i, L.W_ST] = math.sin(q[i, 2])
-        wk[i, L.W_CA] = math.cos(q[i, 3])
-        wk[i, L.W_SA] = math.sin(q[i, 3])
-        wk[i, L.W_CB] = math.cos(q[i, 4])
-        wk[i, L.W_SB] = math.sin(q[i, 4])
 
 
 @jit
@@ -94,7 +83,6 @@ def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed
     force is never switched inside one.
     """
     composition = composition_factor(speed)
-    iron = cast_iron_factor(speed)
     rise_time = model.par[L.BRAKE_RISE]
     total = 0.0
     for u in range(model.unit_start[i], model.unit_start[i + 1]):
@@ -104,7 +92,8 @@ def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed
         k = rise(t, arrival[u, L.ARR_CONV], rise_time)
         if t_on >= arrival[u, L.ARR_INST]:
             k = 1.0
-        f = k * model.unit[u, L.U_FORCE] * (composition if shoe == 1.0 else iron)
+        f = k * model.unit[u, L.U_FORCE]
+        f *= composition if shoe == 1.0 else cast_iron_factor(speed)
         k = rise(t, arrival[u, L.ARR_TL], rise_time)
         if t_on >= arrival[u, L.ARR_INST_TL]:
             k = 1.0
@@ -151,14 +140,20 @@ def _corner_contacts(
     pair: F64,
     mask: U8,
     report: F64,
+    p: int,
     i: int,
     j: int,
+    u0: float,
+    w0: float,
+    c: float,
+    s: float,
     flip: bool,
 ) -> None:
     """Contacts of the corners of car ``i`` with car ``j``.
 
-    ``flip`` says that ``i`` is the second car of the pair row; corner meets corner is treated only
-    when it is not, so that it is done once.
+    (u0, w0) is the centre of i and (c, s) its direction, both in the frame of j. ``flip`` says
+    that ``i`` is the second car of the pair row ``p``; corner meets corner is treated only when it
+    is not, so that it is done once.
     """
     keep_separate()
     par = model.par
@@ -167,32 +162,23 @@ def _corner_contacts(
     b_i = model.car[i, L.HALF_W]
     a_j = model.car[j, L.HALF_L]
     b_j = model.car[j, L.HALF_W]
-    ci = wk[i, L.W_CT]
-    si = wk[i, L.W_ST]
     cj = wk[j, L.W_CT]
     sj = wk[j, L.W_ST]
     for corner in range(4):
         u = a_i if corner < 2 else -a_i
         w = b_i if corner % 2 == 0 else -b_i
-        px = q[i, 0] + ci * u - si * w
-        py = q[i, 1] + si * u + ci * w
-        # the corner in the frame of body j
-        rx = px - q[j, 0]
-        ry = py - q[j, 1]
-        ju = cj * rx + sj * ry
-        jw = -sj * rx + cj * ry
+        ju = u0 + c * u - s * w
+        jw = w0 + s * u + c * w
         if abs(ju) >= a_j + d_b or abs(jw) >= b_j + d_b:
             continue
         out = outside_mask(ju, jw, a_j, b_j)
         wall = out
-        fx = 0.0
-        fy = 0.0
         gap = 0.0
         nu = 0.0
         nw = 0.0
         other_corner = -1
         if out == 0:
-            wall = nearest_wall(ju, jw, a_j, b_j, mask[4 + corner] if flip else mask[corner])
+            wall = nearest_wall(ju, jw, a_j, b_j, mask[p, 4 + corner] if flip else mask[p, corner])
         if wall == FRONT or wall == REAR:
             nu = 1.0 if wall == FRONT else -1.0
             gap = nu * ju - a_j
@@ -210,20 +196,20 @@ def _corner_contacts(
             gap = math.sqrt(du * du + dw * dw)
             if gap >= d_b or gap < 1e-12:
                 continue
-            qx = q[j, 0] + cj * su * a_j - sj * sw * b_j
-            qy = q[j, 1] + sj * su * a_j + cj * sw * b_j
-            ex = qx - q[i, 0]
-            ey = qy - q[i, 1]
-            iu = ci * ex + si * ey
-            iw = -si * ex + ci * ey
-            # beyond both walls of i, on the side of this very corner
-            if u * iu <= a_i * a_i or w * iw <= b_i * b_i:
+            # that corner in the frame of i: beyond both walls, on the side of this very corner
+            eu = su * a_j - u0
+            ew = sw * b_j - w0
+            iu = c * eu + s * ew
+            iw = -s * eu + c * ew
+            if u * iu < a_i * a_i or w * iw < b_i * b_i:
                 continue
             nu = du / gap
             nw = dw / gap
             other_corner = (0 if su > 0.0 else 2) + (0 if sw > 0.0 else 1)
         if gap >= d_b:
             continue
+        px = q[i, 0] + wk[i, L.W_CT] * u - wk[i, L.W_ST] * w
+        py = q[i, 1] + wk[i, L.W_ST] * u + wk[i, L.W_CT] * w
         nx = cj * nu - sj * nw
         ny = sj * nu + cj * nw
         fpx = px - gap * nx
@@ -239,17 +225,17 @@ def _corner_contacts(
         mi = _push(force, q, i, px, py, fx, fy)
         mj = _push(force, q, j, fpx, fpy, -fx, -fy)
         sign = -1.0 if flip else 1.0
-        pair[L.P_FX] += sign * fx
-        pair[L.P_FY] += sign * fy
-        pair[L.P_POWER] += f * closing
-        if f > pair[L.P_FMAX]:
-            pair[L.P_FMAX] = f
-            pair[L.P_CORNER] = corner + (4 if flip else 0)
-            pair[L.P_X] = px
-            pair[L.P_Y] = py
-            pair[L.P_NX] = sign * nx
-            pair[L.P_NY] = sign * ny
-            pair[L.P_CLOSING] = closing
+        pair[p, L.P_FX] += sign * fx
+        pair[p, L.P_FY] += sign * fy
+        pair[p, L.P_POWER] += f * closing
+        if f > pair[p, L.P_FMAX]:
+            pair[p, L.P_FMAX] = f
+            pair[p, L.P_CORNER] = corner + (4 if flip else 0)
+            pair[p, L.P_X] = px
+            pair[p, L.P_Y] = py
+            pair[p, L.P_NX] = sign * nx
+            pair[p, L.P_NY] = sign * ny
+            pair[p, L.P_CLOSING] = closing
         if report.shape[0]:
             report[i, A.R_COLLISION] += fx
             report[i, A.R_COLLISION + 1] += fy
@@ -266,15 +252,19 @@ def _corner_contacts(
 def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """Contact forces between all neighbouring pairs; per-pair sums go into ``state.pair``."""
     wk = work.wk
+    car = model.car
+    pairs = state.pairs
+    pair = state.pair
     d_b = model.par[L.C_BUFFER]
     power = 0.0
     for p in range(state.cnt[L.N_PAIRS]):
-        i = state.pairs[p, 0]
-        j = state.pairs[p, 1]
-        row = state.pair[p]
-        for k in range(L.P_POWER + 1):
-            row[k] = 0.0
-        row[L.P_NEAR] = 0.0
+        i = pairs[p, 0]
+        j = pairs[p, 1]
+        pair[p, L.P_FX] = 0.0
+        pair[p, L.P_FY] = 0.0
+        pair[p, L.P_FMAX] = 0.0
+        pair[p, L.P_POWER] = 0.0
+        pair[p, L.P_NEAR] = 0.0
         ci = wk[i, L.W_CT]
         si = wk[i, L.W_ST]
         cj = wk[j, L.W_CT]
@@ -282,25 +272,36 @@ def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
         dx = q[i, 0] - q[j, 0]
         dy = q[i, 1] - q[j, 1]
         # separating axes along both bodies: extents of one in the frame of the other
-        c = abs(ci * cj + si * sj)
-        s = abs(si * cj - ci * sj)
-        a_i = model.car[i, L.HALF_L]
-        b_i = model.car[i, L.HALF_W]
-        a_j = model.car[j, L.HALF_L]
-        b_j = model.car[j, L.HALF_W]
-        if abs(cj * dx + sj * dy) > a_j + d_b + a_i * c + b_i * s:
+        c = ci * cj + si * sj
+        s = si * cj - ci * sj
+        ac = abs(c)
+        as_ = abs(s)
+        a_i = car[i, L.HALF_L]
+        b_i = car[i, L.HALF_W]
+        a_j = car[j, L.HALF_L]
+        b_j = car[j, L.HALF_W]
+        ju = cj * dx + sj * dy
+        if abs(ju) > a_j + d_b + a_i * ac + b_i * as_:
             continue
-        if abs(-sj * dx + cj * dy) > b_j + d_b + a_i * s + b_i * c:
+        jw = -sj * dx + cj * dy
+        if abs(jw) > b_j + d_b + a_i * as_ + b_i * ac:
             continue
-        if abs(ci * dx + si * dy) > a_i + d_b + a_j * c + b_j * s:
+        iu = -ci * dx - si * dy
+        if abs(iu) > a_i + d_b + a_j * ac + b_j * as_:
             continue
-        if abs(-si * dx + ci * dy) > b_i + d_b + a_j * s + b_j * c:
+        iw = si * dx - ci * dy
+        if abs(iw) > b_i + d_b + a_j * as_ + b_j * ac:
             continue
-        row[L.P_NEAR] = 1.0
-        mask = state.mask[p]
-        _corner_contacts(model, q, v, wk, work.force, row, mask, work.report, i, j, False)
-        _corner_contacts(model, q, v, wk, work.force, row, mask, work.report, j, i, True)
-        power += row[L.P_POWER]
+        pair[p, L.P_NEAR] = 1.0
+        _corner_contacts(
+            model, q, v, wk, work.force, pair, state.mask, work.report, p, i, j, ju, jw, c, s,
+            False,
+        )  # fmt: skip
+        _corner_contacts(
+            model, q, v, wk, work.force, pair, state.mask, work.report, p, j, i, iu, iw, c, -s,
+            True,
+        )  # fmt: skip
+        power += pair[p, L.P_POWER]
     work.power[L.E_COLLISION] = power
 
 
@@ -321,6 +322,7 @@ def generalized_forces(
     """
     keep_separate()
     par = model.par
+    car = model.car
     n = q.shape[0]
     force = work.force
     wk = work.wk
@@ -337,24 +339,23 @@ def generalized_forces(
         report[:] = 0.0
 
     for i in range(n):
-        c = model.car[i]
         theta = q[i, 2]
         omega = v[i, 2]
 
         # strikers
-        x = c[L.ARM_F] * (q[i, 3] - theta)
-        xd = c[L.ARM_F] * (v[i, 3] - omega)
-        f_front = spring_force(x, c[L.OPEN_F], c[L.K1_F], c[L.K2_F]) + c[L.DAMP_F] * xd
-        p_damper += c[L.DAMP_F] * xd * xd
-        x = c[L.ARM_R] * (q[i, 4] - theta)
-        xd = c[L.ARM_R] * (v[i, 4] - omega)
-        f_rear = spring_force(x, c[L.OPEN_R], c[L.K1_R], c[L.K2_R]) + c[L.DAMP_R] * xd
-        p_damper += c[L.DAMP_R] * xd * xd
+        x = car[i, L.ARM_F] * (q[i, 3] - theta)
+        xd = car[i, L.ARM_F] * (v[i, 3] - omega)
+        f_front = spring_force(x, car[i, L.OPEN_F], car[i, L.K1_F], car[i, L.K2_F]) + car[i, L.DAMP_F] * xd
+        p_damper += car[i, L.DAMP_F] * xd * xd
+        x = car[i, L.ARM_R] * (q[i, 4] - theta)
+        xd = car[i, L.ARM_R] * (v[i, 4] - omega)
+        f_rear = spring_force(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R]) + car[i, L.DAMP_R] * xd
+        p_damper += car[i, L.DAMP_R] * xd * xd
         fx = 0.0
         fy = 0.0
-        moment = c[L.ARM_F] * f_front + c[L.ARM_R] * f_rear
-        force[i, 3] = -c[L.ARM_F] * f_front
-        force[i, 4] = -c[L.ARM_R] * f_rear
+        moment = car[i, L.ARM_F] * f_front + car[i, L.ARM_R] * f_rear
+        force[i, 3] = -car[i, L.ARM_F] * f_front
+        force[i, 4] = -car[i, L.ARM_R] * f_rear
         if report.shape[0]:
             report[i, A.R_STRIKER] = f_front
             report[i, A.R_STRIKER + 1] = f_rear
@@ -379,7 +380,7 @@ def generalized_forces(
             ct = wk[i, L.W_CT]
             st = wk[i, L.W_ST]
             free = (i == 0 or coupled[i - 1] == 0) and (i == n - 1 or coupled[i] == 0)
-            weight = par[L.G_SCALE] * c[L.MASS] * par[L.GRAVITY]
+            weight = par[L.G_SCALE] * car[i, L.MASS] * par[L.GRAVITY]
             points = BODY_POINTS if free else 2
             gx = 0.0
             gy = 0.0
@@ -387,11 +388,11 @@ def generalized_forces(
             power = 0.0
             for k in range(points):
                 if free:
-                    r = c[L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
+                    r = car[i, L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
                 else:
                     if truck_on[i, k]:
                         continue
-                    r = c[L.DT] if k == 0 else -c[L.DT]
+                    r = car[i, L.DT] if k == 0 else -car[i, L.DT]
                 ux = vx - omega * r * st
                 uy = vy + omega * r * ct
                 speed = math.sqrt(ux * ux + uy * uy)

@@ -1,8 +1,9 @@
 """The state between the ends of a step.
 
-Coordinates by quintic Hermite interpolation on (q, v, a) at both ends: sixth order in the step, with
-velocity and acceleration its derivatives. Work entries of the ledger by cubic Hermite interpolation
-on their powers. Forces are evaluated at the interpolated state with the constraints of that step.
+Coordinates by quintic Hermite interpolation on (q, v, a) at both ends: sixth order in the step,
+with velocity and acceleration its derivatives. Work entries of the ledger by cubic Hermite
+interpolation on their powers. Forces are evaluated at the interpolated state with the constraints
+of that step.
 """
 
 from __future__ import annotations

@@ -64,8 +64,7 @@ CACHE_DIR = _writable(cache_root() / f"kernels-{source_hash()}")
 """Folder of this version's compiled kernels."""
 
 
-@intrinsic
-def keep_separate(typing_context: Any) -> Any:  # pragma: no cover - runs in the compiler
+def _keep_separate(typing_context: Any) -> Any:  # runs in the compiler
     """Statement for the beginning of a large kernel: LLVM shall not inline it into its callers.
 
     Without it every level of the call tree optimizes all that lies below it once more, and the
@@ -79,17 +78,21 @@ def keep_separate(typing_context: Any) -> Any:  # pragma: no cover - runs in the
     return numba.types.void(), codegen
 
 
+keep_separate: Any = intrinsic(_keep_separate)
+
+
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # numba reads the folder when the decorator runs, so the setting is changed only for that
     # long: a user's own numba functions keep their own cache.
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(CACHE_DIR)
+    config: Any = numba_config
+    previous = config.CACHE_DIR
+    config.CACHE_DIR = str(CACHE_DIR)
     try:
         return numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy", **options)(
             function
         )
     finally:
-        numba_config.CACHE_DIR = previous
+        config.CACHE_DIR = previous
 
 
 def jit(function: Callable[..., Any]) -> Any:

@@ -65,7 +65,10 @@ K2_R = 17
 DAMP_R = 18
 RADIUS = 19  # of the circle around the rectangle
 VIRTUAL = 20
-N_CAR = 21
+DIST = 21  # arc length of the centre behind car 1's
+GYRATION = 22  # sqrt(I / m)
+GYRATION_C = 23  # sqrt(I_c / m)
+N_CAR = 24
 
 # --- knuckle: one row a coupling -------------------------------------------------------------
 KN_0 = 0  # moment polynomial, N m

@@ -33,8 +33,8 @@ def car_corners(pose: F64, half_length: F64, half_width: F64) -> F64:
 def scene_box(track: Track, corners: F64, hints: F64) -> tuple[float, float, float]:
     """Length along and width across the track (m) and area (m^2) that hold all corners.
 
-    Coordinates are those of the track (arc length of the foot point, offset), which on the straight
-    are X and Y. ``hints`` (one a car) are track coordinates near the cars.
+    Coordinates are those of the track (arc length of the foot point, offset): X and Y on the
+    straight. ``hints`` (one a car) are track coordinates near the cars.
     """
     if len(corners) == 0:
         return 0.0, 0.0, 0.0

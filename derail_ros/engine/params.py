@@ -260,7 +260,7 @@ class DerailmentParams:
     ----------
     lv_limit : derailment quotient: a truck leaves the rails when ``|lambda| > LV m g / 2``
     break_follows_lateral : a lateral derailment also breaks the rail there (rail roll-over) [R]
-    break_ahead_of_truck : distance ahead of the front truck at which a break opens "under" a car, m
+    break_ahead_of_truck : how far ahead of its front truck a break opens "under" a car, m
     knuckle_limit_ee, knuckle_limit_ff, knuckle_limit_ef : coupling angle limits, rad
     """
 
@@ -292,7 +292,7 @@ class IntegrationParams:
     """
 
     method: str = "rkf45"
-    rtol: float = 1e-5
+    rtol: float = 1e-4
     stabilization: str = "projection"
     baumgarte_velocity: float = 30.0
     baumgarte_position: float = 50.0

@@ -38,8 +38,9 @@ def rkf45_step(model: Model, state: State, work: Work, h: float) -> float:
     """One Fehlberg step of size ``h`` from the accepted state into ``work.stage_q/v``.
 
     Returns the error in units of the tolerance (fifth less fourth order, largest component): the
-    scale is ``rtol`` (1 m, 1 rad) for coordinates and ``rtol (1 + |v|)`` for velocities, so it
-    does not depend on where along the track the train is. Mean powers go into
+    scale is ``rtol`` times 1 m for coordinates and ``rtol (1 m/s + |v|)`` for velocities, so it
+    does not depend on where along the track the train is. Angles count by their arc at the radius
+    of gyration ``sqrt(I / m)``: the metric of the kinetic energy. Mean powers go into
     ``work.mean_power``.
     """
     keep_separate()
@@ -89,8 +90,13 @@ def rkf45_step(model: Model, state: State, work: Work, h: float) -> float:
                 ev += RKF_E[s] * work.kv[s, i, k]
             q1[i, k] = state.q[i, k] + h * dq
             v1[i, k] = state.v[i, k] + h * dv
-            eq = abs(h * eq)
-            ev = abs(h * ev) / (1.0 + abs(state.v[i, k]))
+            arm = 1.0
+            if k == 2:
+                arm = model.car[i, L.GYRATION]
+            elif k > 2:
+                arm = model.car[i, L.GYRATION_C]
+            eq = abs(h * eq) * arm
+            ev = abs(h * ev) * arm / (1.0 + arm * abs(state.v[i, k]))
             # written so that a nan counts as an error
             if not eq <= error * rtol:
                 error = eq / rtol

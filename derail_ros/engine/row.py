@@ -6,9 +6,10 @@ holds an explicit method to steps of that size long after all else has become sl
     (I - h gamma A) k_i = f(y + h sum_j alpha_ij k_j) + h A sum_j gamma_ij k_j
     y_new = y + h sum_i b_i k_i
 
-keeps its order for *any* matrix A, so A may hold just what is stiff: the derivative of the friction
-forces by the velocities, one symmetric block a car. Source of the coefficients: J. Rang and
-L. Angermann, BIT 45 (2005), method ROS34PW2: order 3, embedded order 2, L-stable, stiffly accurate.
+keeps its order for *any* matrix A, so A may hold just what is stiff: the derivative of the
+friction forces by the velocities, one symmetric block a car. Source of the coefficients: J. Rang
+and L. Angermann, BIT 45 (2005), method ROS34PW2: order 3, embedded order 2, L-stable, stiffly
+accurate.
 
 With M the mass matrix and C the damping (positive semidefinite), the accelerations live on the
 constraints' tangent, so A = -P M^-1 C with P the projector onto it, and each stage solves
@@ -28,11 +29,12 @@ from numpy.typing import NDArray
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.dynamics import accelerations
-from derail_ros.engine.forces import angles, brake_force
+from derail_ros.engine.forces import brake_force
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.laws.brake import smooth_direction
 from derail_ros.engine.laws.ground import BODY_POINTS, drag_slopes
 from derail_ros.engine.solver import coupling_rate, factor, solve, truck_rate, truck_rows
+from derail_ros.engine.trigonometry import angles
 
 F64 = NDArray[np.float64]
 
@@ -255,8 +257,13 @@ def row_step(model: Model, state: State, work: Work, h: float) -> float:
                 ev += E[s] * work.kv[s, i, k]
             q1[i, k] = state.q[i, k] + h * dq
             v1[i, k] = state.v[i, k] + h * dv
-            eq = abs(h * eq)
-            ev = abs(h * ev) / (1.0 + abs(state.v[i, k]))
+            arm = 1.0
+            if k == 2:
+                arm = model.car[i, L.GYRATION]
+            elif k > 2:
+                arm = model.car[i, L.GYRATION_C]
+            eq = abs(h * eq) * arm
+            ev = abs(h * ev) * arm / (1.0 + arm * abs(state.v[i, k]))
             # written so that a nan counts as an error
             if not eq <= error * rtol:
                 error = eq / rtol

@@ -1,8 +1,9 @@
-"""States as bytes: a JSON header and raw little-endian arrays, nothing executable."""
+"""States as bytes: a checksum, a JSON header and raw arrays; nothing executable."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import struct
 import types
@@ -16,6 +17,7 @@ from derail_ros.engine.errors import StateFormatError
 
 MAGIC = b"derail-state\0"
 VERSION = 1
+_DIGEST = 32
 
 
 def to_plain(value: Any) -> Any:
@@ -65,14 +67,18 @@ def pack(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> bytes:
     text = json.dumps(
         {"version": VERSION, "header": header, "arrays": table}, sort_keys=True
     ).encode()
-    return MAGIC + struct.pack("<Q", len(text)) + text + b"".join(parts)
+    body = struct.pack("<Q", len(text)) + text + b"".join(parts)
+    return MAGIC + hashlib.sha256(body).digest() + body
 
 
 def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """The inverse of `pack`; raises `StateFormatError` for anything else."""
     if not isinstance(data, (bytes, bytearray)) or not data.startswith(MAGIC):
         raise StateFormatError("these bytes are not a saved simulation state")
-    at = len(MAGIC)
+    at = len(MAGIC) + _DIGEST
+    # Checked before anything is believed: kernels index by what the arrays say.
+    if hashlib.sha256(data[at:]).digest() != data[len(MAGIC) : at]:
+        raise StateFormatError("the saved state is damaged (its checksum does not match)")
     try:
         (length,) = struct.unpack_from("<Q", data, at)
         at += 8

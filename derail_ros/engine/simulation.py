@@ -448,27 +448,32 @@ class Simulation:
         CommandError
             No such place or car, or the run has ended.
         """
-        s = self._state
         self._refuse_when_ended()
-        arguments: dict[str, object] = {}
         if (coordinate is None) == (car is None):
             raise CommandError("coordinate", "give either a track coordinate or a car")
         if car is not None:
             i = self._car_index(car)
-            if not s.truck_on[i, 0]:
+            if not self._state.truck_on[i, 0]:
                 raise CommandError("car", f"the front truck of car {car} is off the rails")
-            coordinate = float(s.truck_s[i, 0]) + self.params.derailment.break_ahead_of_truck
-            arguments["car"] = car
-        assert coordinate is not None
-        coordinate = float(coordinate)
-        if not math.isfinite(coordinate):
-            raise CommandError("coordinate", f"must be finite, not {coordinate}")
-        if abs(coordinate) > 1e6 or not self.track.start <= coordinate <= self.track.end:
+            ahead = self.params.derailment.break_ahead_of_truck
+            coordinate = float(self._state.truck_s[i, 0]) + ahead
+        try:
+            place = float(coordinate)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise CommandError("coordinate", f"must be a number, not {coordinate!r}") from None
+        self._break_rail(place, 0 if car is None else int(car))
+        return place
+
+    def _break_rail(self, place: float, car: int) -> None:
+        """Break the rail at ``place``; ``car`` is the one it was asked under, or 0."""
+        if not math.isfinite(place):
+            raise CommandError("coordinate", f"must be finite, not {place}")
+        low, high = max(self.track.start, -1e6), min(self.track.end, 1e6)
+        if not low <= place <= high:
             raise CommandError(
-                "coordinate",
-                f"{coordinate:g} m lies outside the track "
-                f"({max(self.track.start, -1e6):g} to {min(self.track.end, 1e6):g} m)",
+                "coordinate", f"{place:g} m lies outside the track ({low:g} to {high:g} m)"
             )
+        s = self._state
         free = np.flatnonzero(np.isinf(s.breaks))
         if len(free) <= 2 * self.n_cars:
             # rows in reserve for the breaks that lateral derailments may leave
@@ -476,15 +481,13 @@ class Simulation:
             grown[: len(s.breaks)] = s.breaks
             s = self._state = s._replace(breaks=grown)
             free = np.flatnonzero(np.isinf(s.breaks))
-        s.breaks[free[0]] = coordinate
-        arguments["coordinate"] = coordinate
-        self._log("inject_rail_break", arguments)
-        x, y, _, _ = self.track.point(coordinate)
+        s.breaks[free[0]] = place
+        self._log("inject_rail_break", {"coordinate": place, "car": car})
+        x, y, _, _ = self.track.point(place)
         self._add_event(
-            EventKind.RAIL_BREAK_SET, cause="command", x=x, y=y, track_coordinate=coordinate,
-            value=float(car or 0),
+            EventKind.RAIL_BREAK_SET, cause="command", x=x, y=y, track_coordinate=place,
+            value=float(car),
         )  # fmt: skip
-        return coordinate
 
     def trigger_emergency_brake(
         self,
@@ -535,17 +538,16 @@ class Simulation:
 
     def _start_brakes(self, mode: str, source: str, car: int, t: float) -> None:
         kind = ARRIVALS[mode]
-        unit = self._model.unit
-        if len(unit) == 0:
-            return
+        distance = self._model.car[:, L.DIST]
+        units = self._model.unit[:, L.U_DIST]
         places = []
         if source in ("front", "both_ends"):
-            places.append(float(unit[:, L.U_DIST].min()))
+            places.append(float(distance[0]))
         if source in ("rear", "both_ends"):
-            places.append(float(unit[:, L.U_DIST].max()))
+            # the virtual body's last car is further back than its centre
+            places.append(float(max(distance[-1], units.max(initial=0.0))))
         if source == "car":
-            first = int(self._model.unit_start[car - 1])
-            places.append(float(unit[min(first, len(unit) - 1), L.U_DIST]))
+            places.append(float(distance[car - 1]))
         for place in places:
             stepper.apply_brakes(self._model, self._state, place, True, True, kind, t)
 
@@ -559,8 +561,8 @@ class Simulation:
         self.advance_steps(command.step - self.step_count)
         arguments = dict(command.arguments)
         if command.name == "inject_rail_break":
-            arguments.pop("car", None)
-            self.inject_rail_break(**arguments)  # type: ignore[arg-type]
+            self._refuse_when_ended()
+            self._break_rail(float(arguments["coordinate"]), int(arguments["car"]))  # type: ignore[arg-type, call-overload]
         elif command.name == "trigger_emergency_brake":
             self.trigger_emergency_brake(**arguments)  # type: ignore[arg-type]
         else:
@@ -574,7 +576,9 @@ class Simulation:
             raise CommandError("run", f"the run has ended ({self.status})")
 
     def _car_index(self, number: int) -> int:
-        if not 1 <= int(number) <= self.n_cars:
+        if not isinstance(number, (int, np.integer)) or isinstance(number, bool):
+            raise CommandError("car", f"must be a whole number, not {number!r}")
+        if not 1 <= number <= self.n_cars:
             raise CommandError("car", f"there is no car {number} (1 to {self.n_cars})")
         return int(number) - 1
 
@@ -712,7 +716,8 @@ class Simulation:
         other.params = self.params
         other.track = self.track
         other._model = self._model
-        other._state = State(*(array.copy() for array in self._state))
+        arrays: Any = (array.copy() for array in self._state)
+        other._state = State(*arrays)
         other._events = list(self._events)
         other._commands = list(self._commands)
         other._scheduled = list(self._scheduled)

@@ -17,8 +17,8 @@ and the couplings form a symmetric positive definite block tridiagonal system wi
 
     D_k = W_BB(k) + W_FF(k + 1),   off-diagonal -W_FB
 
-(B rear face, F front face), solved by block LDL^T along the train. A removed row is left out of its
-block; nothing else changes.
+(B rear face, F front face), solved by block LDL^T along the train. A removed row is left out of
+its block; nothing else changes.
 
 ``M^-1`` is a symmetric 3 x 3 block for (X, Y, theta) and two scalars for the coupler bodies, so
 that the same factorization serves integrators that add an implicit damping to M.

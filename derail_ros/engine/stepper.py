@@ -16,13 +16,14 @@ from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.dynamics import accelerations, project_positions, project_velocities
 from derail_ros.engine.events import EventKind
-from derail_ros.engine.forces import angles, coupler_energy, kinetic_energy
+from derail_ros.engine.forces import coupler_energy, kinetic_energy
 from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
 from derail_ros.engine.methods import ROW
 from derail_ros.engine.neighbours import end_contact, list_is_stale, rebuild, track_contacts
 from derail_ros.engine.rkf45 import rkf45_step
 from derail_ros.engine.row import row_step
 from derail_ros.engine.solver import constraint_error, truck_rows
+from derail_ros.engine.trigonometry import angles
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -92,7 +93,7 @@ def _cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
 
 @inner_jit
 def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
-    """Speed of a truck along the track, m/s (its normal in ``wk``, the car's cos and sin given)."""
+    """Speed of a truck along the track, m/s (normal in ``wk``; the car's cos and sin)."""
     base = L.W_TF if k == 0 else L.W_TR
     r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
     return wk[i, base + 1] * (v[i, 0] - r * v[i, 2] * st) - wk[i, base] * (
@@ -246,10 +247,7 @@ def part_coupling(
     speed = math.hypot(state.v[i, 0], state.v[i, 1])
     add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
     if model.par[L.VENT] != 0.0:
-        at = 0.5 * (
-            model.unit[model.unit_start[i], L.U_DIST]
-            + model.unit[model.unit_start[i + 1], L.U_DIST]
-        )
+        at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
         apply_brakes(model, state, at, True, True, L.ARR_CONV, t)
         add_event(
             state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, L.CAUSE_VENT, x, y, math.nan,
@@ -444,7 +442,7 @@ def step(model: Model, state: State, work: Work) -> int:
         ok = math.isfinite(error)
         grow = 0.2
         if ok:
-            grow = min(4.0, max(0.2, 0.9 * max(error, 1e-10) ** -order))
+            grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -order))
         if not ok or error > 1.0:
             cnt[L.REJECTED] += 1
             rejected = True

@@ -21,7 +21,7 @@ SPEED_LIMIT = 80.0 / 3.6
 
 
 def _stopping_integral(law: object) -> float:
-    """Integral of v / F(v) from 0 to 80 km/h (Simpson's rule): distance for unit mass and force."""
+    """Integral of v / F(v) from 0 to 80 km/h (Simpson's rule): distance for m = F0 = 1."""
     n = 2000
     h = SPEED_LIMIT / n
     total = 0.0
@@ -53,7 +53,7 @@ def composition_factor(v: float) -> float:
 
 @jit
 def cast_iron_factor(v: float) -> float:
-    """Speed factor of a cast iron shoe at the speed ``v`` >= 0 (m/s), same scale as composition."""
+    """Speed factor of a cast iron shoe at the speed ``v`` >= 0 (m/s), scaled as above."""
     u = 3.6 * v
     return CAST_IRON_SCALE * (u + 100.0) / (u + 20.0)
 

@@ -1,13 +1,13 @@
 """Collisions between rectangles.
 
-Source: thesis, collision chapter; the gap law's two parameters and the treatment of penetration are
-reconstructed [R].
+Source: thesis, collision chapter; the gap law's two parameters and the treatment of penetration
+are reconstructed [R].
 
 Gap law, x the distance (negative inside), bell of two parameters:
 
     F_d(x) = F_max 2^-(x / d_c)^2    0 <= x < d_b,    F_max for x < 0,    0 from d_b on
 
-(``lorentzian``: ``F_max / (1 + (x / d_c)^2)``). Speed factor, v the closing speed along the normal:
+(``lorentzian``: ``F_max / (1 + (x / d_c)^2)``). Speed factor, v the normal closing speed:
 
     F_c = F_d max(0, c1 v|v| + c2 v + c3)
 
@@ -49,15 +49,19 @@ def speed_factor(v: float, c1: float, c2: float, c3: float) -> float:
 
 @jit
 def outside_mask(u: float, w: float, a: float, b: float) -> int:
-    """Walls of a rectangle (half length a, half width b) that the point (u, w) is outside of."""
+    """Walls of a rectangle (half length a, half width b) that the point (u, w) is outside of.
+
+    A point on a wall's line is outside of it: two aligned bodies then meet corner to corner, the
+    limit of the neighbouring positions, and are not pushed by four corners instead of two.
+    """
     mask = 0
-    if u > a:
+    if u >= a:
         mask = FRONT
-    elif u < -a:
+    elif u <= -a:
         mask = REAR
-    if w > b:
+    if w >= b:
         mask |= LEFT
-    elif w < -b:
+    elif w <= -b:
         mask |= RIGHT
     return mask
 
