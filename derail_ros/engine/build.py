@@ -198,7 +198,11 @@ def validate(params: TrainParams) -> None:
 
 def check_trigger(mode: str, source: str, car: int, delay: float, n: int, where: str) -> None:
     """Refuse an emergency application that cannot be made."""
-    require(isinstance(mode, str) and mode in ARRIVALS, f"{where}.mode", f"must be one of {', '.join(ARRIVALS)}")
+    require(
+        isinstance(mode, str) and mode in ARRIVALS,
+        f"{where}.mode",
+        f"must be one of {', '.join(ARRIVALS)}",
+    )
     require(
         isinstance(source, str) and source in SOURCES,
         f"{where}.source",

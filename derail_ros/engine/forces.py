@@ -345,11 +345,17 @@ def generalized_forces(
         # strikers
         x = car[i, L.ARM_F] * (q[i, 3] - theta)
         xd = car[i, L.ARM_F] * (v[i, 3] - omega)
-        f_front = spring_force(x, car[i, L.OPEN_F], car[i, L.K1_F], car[i, L.K2_F]) + car[i, L.DAMP_F] * xd
+        f_front = (
+            spring_force(x, car[i, L.OPEN_F], car[i, L.K1_F], car[i, L.K2_F])
+            + car[i, L.DAMP_F] * xd
+        )
         p_damper += car[i, L.DAMP_F] * xd * xd
         x = car[i, L.ARM_R] * (q[i, 4] - theta)
         xd = car[i, L.ARM_R] * (v[i, 4] - omega)
-        f_rear = spring_force(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R]) + car[i, L.DAMP_R] * xd
+        f_rear = (
+            spring_force(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R])
+            + car[i, L.DAMP_R] * xd
+        )
         p_damper += car[i, L.DAMP_R] * xd * xd
         fx = 0.0
         fy = 0.0
