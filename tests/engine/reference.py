@@ -77,7 +77,7 @@ class Line:
             e = (x - px) * np.cos(h) + (y - py) * np.sin(h)
             d = -(x - px) * np.sin(h) + (y - py) * np.cos(h)
             s = s + e / (1.0 - kappa * d)
-            if abs(e) < 1e-13 * (1.0 + abs(x) + abs(y)):
+            if abs(e) < 1e-9:
                 break
         px, py, h, _ = self.at(s)
         return s, -(x - px) * np.sin(h) + (y - py) * np.cos(h)
@@ -153,6 +153,7 @@ class Reference:
         self.p = params
         self.n = n = len(params.cars)
         self.line = Line(params.track)
+        self._last = {}
         self.truck_on = np.ones((n, 2), bool) if truck_on is None else np.array(truck_on, bool)
         self.coupled = np.ones(n - 1, bool) if coupled is None else np.array(coupled, bool)
         if truck_on is None:
@@ -178,7 +179,7 @@ class Reference:
                 if self.truck_on[i, k]:
                     x = q[i, 0] + r * np.cos(q[i, 2])
                     y = q[i, 1] + r * np.sin(q[i, 2])
-                    rows.append(self.line.foot(x, y, self._near(x, y))[1])
+                    rows.append(self.foot(i, k, x, y)[1])
         for i in range(self.n - 1):
             if self.coupled[i]:
                 a, b = cars[i], cars[i + 1]
@@ -190,16 +191,19 @@ class Reference:
                     rows.append(back - front)
         return np.array(rows)
 
-    def _near(self, x, y):
+    def foot(self, i, k, x, y):
+        """Track coordinate and offset of a truck at (x, y), sought from where it was last."""
         if not self.line.pieces:
-            return x
-        if not hasattr(self, "_grid"):
-            last = self.p.track.segments[-1].length + self.line.pieces[-1][0]
-            s = np.arange(self.line.pieces[0][0], last, 2.0)
-            self._grid = s, np.array([self.line.at(float(u))[:2] for u in s])
-        s, points = self._grid
-        d = np.hypot(points[:, 0] - np.real(x), points[:, 1] - np.real(y))
-        return s[np.argmin(d)] + 0.0 * x
+            return x, y
+        if (i, k) not in self._last:
+            end = self.line.pieces[-1][0] + self.p.track.segments[-1].length
+            grid = np.arange(self.line.pieces[0][0], end, 2.0)
+            points = np.array([self.line.at(float(s))[:2] for s in grid])
+            distance = np.hypot(points[:, 0] - np.real(x), points[:, 1] - np.real(y))
+            self._last[i, k] = grid[np.argmin(distance)]
+        s, d = self.line.foot(x, y, self._last[i, k])
+        self._last[i, k] = float(np.real(s))
+        return s, d
 
     def jacobian(self, q):
         """d phi / d q by complex steps: exact to rounding."""
@@ -381,14 +385,51 @@ class Reference:
         couplings[self.coupled] = multipliers[count:].reshape(-1, 2)
         return trucks, couplings
 
-    def run(self, q, v, until, t=0.0, rtol=1e-10, events=None, max_step=np.inf):
-        """Integrate the index-1 equations with an eighth-order method; one smooth piece."""
+    def run(self, q, v, until, rtol=1e-10, max_step=np.inf):
+        """Integrate the index-1 equations with an eighth-order method, piece by smooth piece.
+
+        Trucks are removed where they pass a break. Returns the coordinates and velocities at
+        ``until`` and the passages ``(time, car, truck)``.
+        """
+        n = self.n
 
         def rhs(t, y):
-            q, v = y.reshape(2, self.n, 5)
+            q, v = y.reshape(2, n, 5)
             return np.concatenate([v.ravel(), self.accelerations(t, q, v)[0].ravel()])
 
-        return solve_ivp(
-            rhs, (t, until), np.concatenate([q.ravel(), v.ravel()]), method="DOP853",
-            rtol=rtol, atol=1e-10, events=events, max_step=max_step,
-        )  # fmt: skip
+        def passing(i, k, s):
+            r = self.p.cars[i].truck_distance * (1 - 2 * k)
+
+            def event(t, y):
+                x, yy, theta = y[5 * i : 5 * i + 3]
+                x, yy = x + r * math.cos(theta), yy + r * math.sin(theta)
+                return self.foot(i, k, x, yy)[0] - s
+
+            event.terminal = True
+            event.direction = 1.0
+            return event
+
+        kinks = [f.start + f.duration for f in self.p.initiation.lateral_forces]
+        kinks += [a for arrivals in self.arrivals for a in arrivals]
+        kinks += [a + self.p.brakes.rise_time for arrivals in self.arrivals for a in arrivals]
+        stops = sorted({k for k in kinks if 0.0 < k < until} | {until})
+        passed = []
+        t, y = 0.0, np.concatenate([q.ravel(), v.ravel()])
+        while t < until:
+            trucks = np.argwhere(self.truck_on).tolist()
+            events = [passing(i, k, s) for i, k in trucks for s in self.p.track.rail_breaks]
+            stop = min(s for s in stops if s > t)
+            # forces that end at the stop are on up to it
+            solution = solve_ivp(
+                rhs, (t, np.nextafter(stop, 0.0)), y, method="DOP853", rtol=rtol, atol=1e-11,
+                events=events, max_step=max_step,
+            )  # fmt: skip
+            t, y = solution.t[-1], solution.y[:, -1]
+            if solution.status == 1:
+                hit = next(j for j, e in enumerate(solution.t_events) if len(e))
+                i, k = trucks[hit // len(self.p.track.rail_breaks)]
+                self.truck_on[i, k] = False
+                passed.append((t, i + 1, ("front", "rear")[k]))
+            else:
+                t = stop
+        return *y.reshape(2, n, 5), passed
