@@ -84,8 +84,8 @@ $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
 	@touch $@
 
 $(STAMPS)/env: $(MSGS_SOURCES) $(PROJECT_SOURCES)
-	@$(MAKE) $(STAMPS)/venv
-	@$(MAKE) -j2 $(PARTS)
+	@$(MAKE) -s $(STAMPS)/venv
+	@$(MAKE) -s -j2 $(PARTS)
 	@if [ "$(ROS)" != 0 ]; then \
 	  $(call pip,derail_msgs_install,install --no-deps --force-reinstall $(VENV)/wheels/derail_msgs-*.whl); fi
 	@touch $@
