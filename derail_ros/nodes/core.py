@@ -288,8 +288,13 @@ class SimulatorCore:
         *,
         time: float | None = None,
         value: float = math.nan,
+        accepted: bool | None = None,
     ) -> Answer:
-        """Log a command with its answer, and give the answer."""
+        """Log a command with its answer, and give the answer.
+
+        ``accepted`` differs from ``success`` where a command was carried out in part.
+        """
+        accepted = success if accepted is None else accepted
         context = self.context
         if time is None:
             time = self.session.time if self.session else 0.0
@@ -302,13 +307,13 @@ class SimulatorCore:
                 command=command,
                 request=request,
                 caller=caller,
-                accepted=success,
+                accepted=accepted,
                 answer=message,
             )
         )
         self._sequence += 1
         self._emit("command_log", self.stamp, data)
-        if not success:
+        if not accepted:
             self._pace.refused += 1
             if self.session is not None:
                 self.session.refused.append(
@@ -545,7 +550,14 @@ class SimulatorCore:
             message += f": {why}"
         request = {"ticks": stepping.asked}
         stepping.done(
-            self._answer("step_simulation", request, stepping.caller, stepping.left == 0, message)
+            self._answer(
+                "step_simulation",
+                request,
+                stepping.caller,
+                stepping.left == 0,
+                message,
+                accepted=made > 0,
+            )
         )
 
     def _go(self, state: State) -> None:
@@ -604,6 +616,10 @@ class SimulatorCore:
             paced = self._stepping is None and factor > 0.0
             if paced and now < self._due.tick:
                 break
+            if paced and not self._due.pending and now - self._due.tick > SLACK:
+                # Too slow, or busy elsewhere: the run falls behind and stays behind.
+                self._due.tick = now
+                self._pace.overruns += 1
             before = session.time
             try:
                 reached = session.advance(max(end - now, 0.0))
@@ -616,12 +632,7 @@ class SimulatorCore:
                 self._markers_fresh = True
                 self._pace.simulated += session.time - before
                 if paced:
-                    period = session.tick_length / factor
-                    self._due.tick += period
-                    if now - self._due.tick > max(SLACK, 0.5 * period):
-                        # Too slow: the run falls behind and stays behind, it never rushes.
-                        self._due.tick = now
-                        self._pace.overruns += 1
+                    self._due.tick += session.tick_length / factor
                 if self._stepping is not None:
                     self._stepping.left -= 1
                 if session.finished:

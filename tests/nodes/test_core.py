@@ -1,0 +1,651 @@
+"""The simulator without a graph: pacing, states, commands, runs, recordings."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from derail_ros.engine import Simulation
+from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore, State
+from derail_ros.recording import RecordingError, read_manifest
+from derail_ros.recording.run import record_run
+from msg_adapters.common import stamp_of
+from msg_adapters.definitions import deserialize
+from msg_adapters.topics import STATE_TOPICS, TOPICS
+from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL, ready, small
+
+
+class Wall:
+    """A clock that moves when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Heard:
+    """Output that remembers."""
+
+    def __init__(self) -> None:
+        self.raw: list[tuple[str, bytes]] = []
+        self.runs = 0
+        self.logs: list[tuple[Level, str]] = []
+
+    def publish(self, topic: str, data: bytes) -> None:
+        self.raw.append((topic, data))
+
+    def begin_run(self) -> None:
+        self.runs += 1
+
+    def log(self, level: Level, text: str) -> None:
+        self.logs.append((level, text))
+
+    def of(self, topic: str) -> list:
+        return [
+            deserialize(data, TOPICS[topic].msgtype) for name, data in self.raw if name == topic
+        ]
+
+    def last(self, topic: str):
+        return self.of(topic)[-1]
+
+
+class Bench:
+    """A core with a clock and ears."""
+
+    def __init__(self, **settings) -> None:
+        self.wall, self.heard = Wall(), Heard()
+        self.core = SimulatorCore(Settings(**settings), self.heard, self.wall)
+
+    def load(self, text: str = SMALL, paused: bool = False) -> Answer:
+        request = {"scenario_yaml": text}
+        return self.core.load(ready(text), request, start_paused=paused)
+
+    def go(self, seconds: float, step: float = 0.001) -> None:
+        """Let wall time pass."""
+        for _ in range(round(seconds / step)):
+            self.wall.now += step
+            self.core.work()
+
+    def ticks(self) -> int:
+        return len(self.heard.of("train_state"))
+
+    def step(self, ticks: int) -> list[Answer]:
+        answers: list[Answer] = []
+        self.core.step_simulation(ticks, answers.append)
+        while self.core._stepping is not None:
+            self.core.work()
+        return answers
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+# --- pacing ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 4.0])
+def test_simulation_time_follows_wall_time(factor) -> None:
+    bench = Bench(speed_factor=factor)
+    bench.load(ENDLESS)
+    bench.go(2.0)
+    assert bench.core.session.time == pytest.approx(2.0 * factor, abs=0.021)
+
+
+def test_a_stall_slows_the_run_and_is_never_made_up_for() -> None:
+    bench = Bench(speed_factor=1.0)
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    before = bench.ticks()
+    bench.wall.now += 3.0  # the machine was busy elsewhere
+    bench.core.work()
+    assert bench.ticks() == before + 1
+    bench.go(1.0)
+    assert bench.ticks() - before == pytest.approx(51, abs=2)
+    assert bench.core._pace.overruns == 1
+
+
+def test_small_delays_are_made_up_for() -> None:
+    bench = Bench(speed_factor=1.0)
+    bench.load(ENDLESS)
+    for k in range(400):
+        bench.wall.now += 0.004 if k % 2 else 0.006
+        bench.core.work()
+    assert bench.core.session.time == pytest.approx(2.0, abs=0.03)
+    assert bench.core._pace.overruns == 0
+
+
+def test_a_change_of_speed_begins_at_once() -> None:
+    bench = Bench(speed_factor=1.0)
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    bench.core.settings.speed_factor = 5.0
+    bench.core.pace_changed()
+    bench.go(1.0)
+    assert bench.core.session.time == pytest.approx(6.0, abs=0.1)
+
+
+def test_speed_zero_runs_to_the_end_without_waiting() -> None:
+    bench = Bench(speed_factor=0.0)
+    bench.load()
+    for _ in range(5000):
+        bench.core.work()
+        if bench.core.finished:
+            break
+    assert bench.core.finished and bench.core.state == State.PAUSED
+    assert bench.heard.last("outcome").is_final
+
+
+def test_work_says_when_it_is_needed_again() -> None:
+    bench = Bench(speed_factor=1.0, publish_clock=False, marker_rate=0.0)
+    assert bench.core.work() > bench.wall.now
+    bench.load(ENDLESS)
+    bench.core.work()
+    assert bench.core.work() == pytest.approx(bench.wall.now + 0.02)
+    bench.core.settings.speed_factor = 0.0
+    assert bench.core.session is not None
+
+
+@pytest.mark.parametrize("rates", [(50.0, 1.0), (10.0, 0.0), (333.0, 7.0)])
+def test_neither_rate_nor_speed_changes_what_is_computed(rates) -> None:
+    bare = Simulation(small().to_params())
+    bare.run()
+    bench = Bench(state_rate=rates[0], speed_factor=rates[1])
+    bench.load()
+    while not bench.core.finished:
+        bench.wall.now += 0.01
+        bench.core.work()
+    assert bench.core.session.simulation.state_hash() == bare.state_hash()
+
+
+# --- messages --------------------------------------------------------------------------------
+
+
+def test_the_clock_goes_on_while_paused(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    bench.core.set_state(State.PAUSED)
+    bench.heard.raw.clear()
+    bench.go(1.0)
+    clocks = bench.heard.of("/clock")
+    assert len(clocks) == pytest.approx(100, abs=3)
+    assert {(c.clock.sec, c.clock.nanosec) for c in clocks} == {divmod(bench.core.stamp, 10**9)}
+    assert bench.ticks() == 0
+
+
+def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(2.0)
+    assert len(bench.heard.of("markers")) == pytest.approx(30, abs=2)
+    assert bench.heard.of("markers")[0].markers[0].action == 3
+    bench.core.set_state(State.PAUSED)
+    bench.go(0.1)
+    bench.heard.raw.clear()
+    bench.go(5.0)
+    assert len(bench.heard.of("markers")) == pytest.approx(5, abs=1)
+
+
+def test_states_are_on_a_grid_of_whole_ticks(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    stamps = [stamp_of(m) for m in bench.heard.of("car_poses")]
+    assert stamps == [20_000_000 * k for k in range(len(stamps))]
+    for topic in STATE_TOPICS:
+        assert [stamp_of(m) for m in bench.heard.of(topic)] == stamps
+
+
+def test_diagnostics_tell_the_factor_asked_and_got() -> None:
+    bench = Bench(speed_factor=2.0)
+    bench.load(ENDLESS)
+    bench.go(3.5)
+    (status,) = bench.heard.last("/diagnostics").status
+    values = {pair.key: pair.value for pair in status.values}
+    assert status.level == 0
+    assert float(values["real_time_factor_asked"]) == 2.0
+    assert float(values["real_time_factor"]) == pytest.approx(2.0, rel=0.05)
+    assert float(values["max_coupler_gap"]) < 1e-3
+    assert abs(float(values["energy_residual_relative"])) < 1e-3
+    assert {"mean_step_size", "overruns", "refused_commands", "run_id"} <= set(values)
+
+
+def test_diagnostics_warn_when_the_run_is_slower_than_asked() -> None:
+    bench = Bench(speed_factor=1.0)
+    bench.load(ENDLESS)
+    bench.go(1.1)
+    bench.go(3.0, step=0.06)  # one look each 60 ms: a tick each, not three
+    (status,) = bench.heard.last("/diagnostics").status
+    assert status.level == 1 and "slower than asked" in status.message
+
+
+# --- states ----------------------------------------------------------------------------------
+
+
+def test_without_a_run_nothing_but_loading_is_possible(bench: Bench) -> None:
+    core = bench.core
+    assert core.state == State.STOPPED
+    assert core.set_state(State.STOPPED).success
+    for answer in (
+        core.set_state(State.PLAYING),
+        core.set_state(State.PAUSED),
+        core.reset(0),
+        core.inject_rail_break(1.0, 0),
+        core.trigger_emergency_brake(0, 0, 0, 0.0),
+        *bench.step(1),
+    ):
+        assert not answer.success and answer.message == "no run is loaded"
+    assert len(bench.heard.of("command_log")) == 7
+
+
+def test_being_there_already_is_a_success(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    answer = bench.core.set_state(State.PLAYING)
+    assert answer.success and answer.message == "already playing"
+
+
+def test_steps_only_while_paused(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    (refused,) = bench.step(3)
+    assert not refused.success and refused.message == "not paused but playing"
+    bench.core.set_state(State.PAUSED)
+    before = bench.core.session.tick
+    (answer,) = bench.step(7)
+    assert answer.success and answer.message == "7 of 7 ticks done"
+    assert bench.core.session.tick == before + 7
+    assert answer.stamp == bench.core.stamp == 20_000_000 * (before + 7)
+    bench.go(1.0)
+    assert bench.core.session.tick == before + 7
+    (none,) = bench.step(0)
+    assert not none.success
+
+
+def test_a_step_request_that_is_overtaken_is_answered(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    answers: list[Answer] = []
+    bench.core.step_simulation(10**9, answers.append)
+    again: list[Answer] = []
+    bench.core.step_simulation(1, again.append)
+    assert again[0].message == "another step_simulation is under way"
+    bench.core.set_state(State.PLAYING)
+    assert len(answers) == 1 and not answers[0].success
+    assert "the state became playing" in answers[0].message
+
+
+def test_steps_end_with_the_run(bench: Bench) -> None:
+    bench.load(paused=True)
+    (answer,) = bench.step(10**6)
+    assert not answer.success and "the run has ended" in answer.message
+    (answer,) = bench.step(1)
+    assert not answer.success
+    assert not bench.core.set_state(State.PLAYING).success
+    assert not bench.core.inject_rail_break(1.0, 0).success
+
+
+def test_stopping_goes_back_to_the_start(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    run = bench.core.run_id
+    assert bench.core.set_state(State.STOPPED).success
+    assert bench.core.run_id != run and bench.core.session.tick == 0
+    bench.go(1.0)
+    assert bench.core.session.tick == 0
+    assert not bench.step(1)[0].success
+    assert bench.core.set_state(State.PLAYING).success
+    bench.go(0.5)
+    assert bench.core.session.tick > 10
+
+
+def test_quitting_needs_permission(bench: Bench) -> None:
+    answer = bench.core.set_state(State.QUITTING)
+    assert not answer.success and "allow_quit" in answer.message
+    bench.core.settings.allow_quit = True
+    assert bench.core.set_state(State.QUITTING).success
+    assert bench.core.state == State.QUITTING
+    assert not bench.core.set_state(17).success
+
+
+# --- runs ------------------------------------------------------------------------------------
+
+
+def test_a_new_run_has_a_new_identity_and_later_stamps(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    first, stamp = bench.core.run_id, bench.core.stamp
+    answer = bench.core.reset(0)
+    assert answer.success and answer.run_id == bench.core.run_id != first
+    assert bench.core.stamp == answer.stamp == stamp + 20_000_000
+    assert bench.heard.runs == 2
+    events = bench.heard.of("events")
+    ends = [e for e in events if e.run_id == first]
+    assert ends[-1].kind_name == "run_ended" and ends[-1].cause == "command"
+    begins = [e for e in events if e.run_id != first]
+    assert begins[0].kind_name == "run_reset" and begins[0].sequence == 0
+    assert stamp_of(begins[0]) == bench.core.stamp and begins[0].time == 0.0
+    outcomes = [o for o in bench.heard.of("outcome") if o.run_id == first]
+    assert outcomes[-1].status_name == "stopped" and outcomes[-1].is_final
+    for topic in ("consist", "track", "track_markers"):
+        assert len(bench.heard.of(topic)) == 2
+    bench.go(0.1)
+    assert bench.heard.last("markers").markers[0].action != 3
+    clears = [m for m in bench.heard.of("markers") if m.markers[0].action == 3]
+    assert len(clears) == 2
+
+
+def test_reset_to_zero_sets_time_to_zero(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(1.0)
+    answer = bench.core.reset(1)
+    assert answer.success and answer.stamp == 0 == bench.core.stamp
+    assert not bench.core.reset(2).success
+
+
+def test_reset_keeps_playing_and_stays_paused(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(0.5)
+    bench.core.reset(0)
+    assert bench.core.state == State.PLAYING
+    bench.core.set_state(State.PAUSED)
+    bench.core.reset(0)
+    assert bench.core.state == State.PAUSED
+
+
+def test_a_run_that_has_ended_begins_again_when_reset(bench: Bench) -> None:
+    bench.load(paused=True)
+    bench.step(10**6)
+    bench.core.reset(0)
+    assert not bench.core.finished
+    assert bench.step(1)[0].success
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "speed", "reason"),
+    [
+        ("nowhere", "", math.nan, "unknown scenario"),
+        ("../../etc/passwd", "", math.nan, "not a scenario name"),
+        ("", "", math.nan, "give either"),
+        ("mississauga", SMALL, math.nan, "give either"),
+        ("", "a: [1", math.nan, "<inline>:"),
+        ("", SMALL.replace("speed_kmh: 80", "speed_kmh: fast"), math.nan, "train.speed_kmh"),
+        ("", "a: &x 1\nb: *x\n", math.nan, "<inline>:1"),
+        ("", "a: !!python/object:os.system {}\n", math.nan, "<inline>:1"),
+        ("", "#" * (256 * 1024 + 1), math.nan, "over 256 KB"),
+        ("", SMALL.replace("count: 10", "count: 1001"), math.nan, "count"),
+        ("", SMALL, -3.0, "speed_kmh"),
+        ("", SMALL, math.inf, "speed_kmh"),
+        ("", SMALL, 1e6, "train.speed_kmh"),
+    ],
+)
+def test_a_scenario_that_is_refused_leaves_the_run_alone(
+    bench: Bench, name, text, speed, reason
+) -> None:
+    bench.load(ENDLESS)
+    bench.go(0.2)
+    run = bench.core.run_id
+    with pytest.raises(ValueError, match=reason) as caught:
+        bench.core.prepare(name, text, speed)
+    answer = bench.core.load(caught.value, {"scenario_name": name}, start_paused=True)
+    assert not answer.success and reason in answer.message
+    bench.go(0.2)
+    assert bench.core.run_id == run and bench.core.session.time == pytest.approx(0.4, abs=0.03)
+    assert bench.heard.last("command_log").accepted is False
+
+
+def test_another_speed_is_part_of_the_scenario(bench: Bench) -> None:
+    prepared = bench.core.prepare("", SMALL, 36.0)
+    bench.core.load(prepared, {}, start_paused=True)
+    assert bench.heard.last("consist").initial_speed == pytest.approx(10.0)
+    assert "speed_kmh: 36" in bench.heard.last("consist").scenario_yaml
+
+
+# --- commands --------------------------------------------------------------------------------
+
+
+def test_a_break_opens_at_once_and_the_track_tells(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    bench.step(5)
+    bench.heard.raw.clear()
+    answer = bench.core.inject_rail_break(55.5, 0, "me")
+    assert answer.success and answer.value == 55.5
+    event = bench.heard.last("events")
+    assert event.kind_name == "rail_break_set" and event.cause == "command"
+    assert bench.heard.last("track").rail_break_coordinate.tolist() == [55.5]
+    assert bench.heard.last("track").rail_break_time[0] == event.time
+    assert any(m.ns == "rail_breaks" for m in bench.heard.last("track_markers").markers)
+    entry = bench.heard.last("command_log")
+    assert entry.accepted and entry.caller == "me" and entry.step == answer.step
+    assert json.loads(entry.request_json) == {"track_coordinate": 55.5, "car": 0}
+    assert stamp_of(entry) == answer.stamp == bench.core.session.context.stamp(entry.time)
+
+
+def test_a_break_under_a_car_opens_ahead_of_its_front_truck(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    bench.step(5)
+    session = bench.core.session
+    front = float(session.simulation.sample().truck_coordinate[1, 0])
+    answer = bench.core.inject_rail_break(math.nan, 2)
+    assert answer.value == pytest.approx(front + 0.5)
+    bench.core.set_state(State.PLAYING)
+    bench.go(1.0)
+    kinds = [e.kind_name for e in bench.heard.of("events")]
+    assert "truck_derailed" in kinds
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "car", "reason"),
+    [
+        (math.nan, 0, "not a finite number"),
+        (math.inf, 0, "not a finite number"),
+        (1e9, 0, "outside the track"),
+        (0.0, 99, "no car 99"),
+    ],
+)
+def test_impossible_breaks_are_refused(bench: Bench, coordinate, car, reason) -> None:
+    bench.load(ENDLESS)
+    bench.go(0.1)
+    answer = bench.core.inject_rail_break(coordinate, car)
+    assert not answer.success and reason in answer.message
+    assert bench.core.session.simulation.rail_breaks == []
+    assert bench.heard.last("command_log").message == answer.message
+
+
+@pytest.mark.parametrize(
+    ("mode", "source", "car", "delay", "reason"),
+    [
+        (9, 0, 0, 0.0, "mode"),
+        (0, 9, 0, 0.0, "source"),
+        (0, 0, 0, -1.0, "delay"),
+        (0, 0, 0, math.nan, "delay"),
+        (0, 0, 2, 0.0, "car"),
+        (0, 3, 0, 0.0, "car"),
+        (0, 3, 4, 0.0, "car"),
+    ],
+)
+def test_impossible_applications_are_refused(
+    bench: Bench, mode, source, car, delay, reason
+) -> None:
+    bench.load(ENDLESS)
+    bench.go(0.1)
+    answer = bench.core.trigger_emergency_brake(mode, source, car, delay)
+    assert not answer.success and reason in answer.message
+    bench.go(0.1)
+    assert bench.core.session.time == pytest.approx(0.2, abs=0.03)
+
+
+def test_brakes_stop_the_train(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    assert bench.core.trigger_emergency_brake(1, 2, 0, 0.5).success
+    bench.step(10**6)
+    assert bench.heard.last("outcome").status_name == "at rest"
+    kinds = [e.kind_name for e in bench.heard.of("events")]
+    assert kinds.count("brakes_triggered") == 1
+    assert kinds.count("brake_signal_reached") == 3
+
+
+def test_sequences_have_no_gaps(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    for k in range(5):
+        bench.core.inject_rail_break(math.nan if k % 2 else 1e5 + k, 0)
+        bench.go(0.05)
+    bench.core.reset(0)
+    assert [c.sequence for c in bench.heard.of("command_log")] == list(range(7))
+    for run in {e.run_id for e in bench.heard.of("events")}:
+        numbers = [e.sequence for e in bench.heard.of("events") if e.run_id == run]
+        assert numbers == list(range(len(numbers)))
+
+
+def test_scenario_and_command_log_repeat_the_run_to_the_bit(tmp_path) -> None:
+    """What the node published is enough to compute the same run again."""
+    from derail_ros.engine import Command
+    from derail_ros.nodes.core import BRAKE_MODES, BRAKE_SOURCES
+    from derail_ros.scenario import loads_scenario
+
+    bench = Bench(speed_factor=0.0, record=str(tmp_path / "bag"))
+    bench.load(ENDLESS, paused=True)
+    bench.step(13)
+    bench.core.trigger_emergency_brake(0, 3, 2, 0.25)
+    bench.step(31)
+    bench.core.inject_rail_break(math.nan, 0)
+    bench.core.inject_rail_break(0.0, 1)
+    bench.step(10**6)
+    assert bench.core.finished
+    state = bench.core.session.simulation.state_hash()
+    events = [e for e in bench.heard.of("events") if e.kind_name != "run_loaded"]
+    bench.core.close()
+
+    again = Simulation(loads_scenario(bench.heard.of("consist")[0].scenario_yaml).to_params())
+    for entry in bench.heard.of("command_log"):
+        request = json.loads(entry.request_json)
+        if not entry.accepted or entry.command not in (
+            "inject_rail_break",
+            "trigger_emergency_brake",
+        ):
+            continue
+        again.advance_steps(entry.step - again.step_count)
+        if entry.command == "inject_rail_break":
+            again.inject_rail_break(car=request["car"])
+        else:
+            again.trigger_emergency_brake(
+                BRAKE_MODES[request["mode"]],
+                BRAKE_SOURCES[request["source"]],
+                request["car"],
+                request["delay_s"],
+            )
+    again.run()
+    assert again.state_hash() == state
+    assert [(e.kind.name.lower(), e.time, e.cars) for e in again.events] == [
+        (e.kind_name, e.time, tuple(e.cars.tolist())) for e in events
+    ]
+
+    run = read_manifest(tmp_path / "bag").run
+    third = Simulation(small(ENDLESS).to_params())
+    for command in run.commands:
+        third.apply(Command(**command))
+    third.run()
+    assert third.state_hash() == state == run.final_state_hash
+    assert len(run.refused) == 1
+
+
+# --- failure ---------------------------------------------------------------------------------
+
+
+def test_a_failure_pauses_tells_and_keeps_the_state(tmp_path) -> None:
+    bench = Bench(speed_factor=0.0, state_dir=str(tmp_path / "state"))
+    bench.load(OFF_THE_TRACK)
+    for _ in range(1000):
+        bench.core.work()
+    core = bench.core
+    assert core.state == State.PAUSED and core.finished
+    assert bench.heard.last("events").kind_name == "run_failed"
+    assert [e.kind_name for e in bench.heard.of("events")].count("run_failed") == 1
+    assert bench.heard.last("outcome").status_name == "failed"
+    bench.wall.now += 2.0
+    core.work()
+    (status,) = bench.heard.last("/diagnostics").status
+    assert status.level == 2 and "TrackEndError" in status.message
+    (file,) = (tmp_path / "state").iterdir()
+    saved = Simulation.from_bytes(file.read_bytes())
+    assert saved.time == core.session.simulation.time
+    answer = core.set_state(State.PLAYING)
+    assert not answer.success and "failed" in answer.message
+    bench.load(ENDLESS)
+    bench.core.settings.speed_factor = 1.0
+    bench.core.pace_changed()
+    bench.go(2.5)
+    (status,) = bench.heard.last("/diagnostics").status
+    assert status.level == 0 and core.session.time > 1.0
+
+
+def test_a_state_that_cannot_be_saved_is_no_second_failure(tmp_path, monkeypatch) -> None:
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(blocker))
+    bench = Bench(speed_factor=0.0, state_dir=str(blocker / "state"))
+    bench.load(OFF_THE_TRACK)
+    for _ in range(1000):
+        bench.core.work()
+    assert "nowhere" in bench.core.error
+
+
+# --- recordings ------------------------------------------------------------------------------
+
+
+def test_the_node_records_what_a_run_without_it_records(tmp_path) -> None:
+    """Same scenario, one recording by the core, one by record_run: the same messages."""
+    from rosbags.rosbag2 import Reader
+
+    bench = Bench(speed_factor=0.0, record=str(tmp_path / "core"))
+    bench.load()
+    while not bench.core.finished:
+        bench.core.work()
+    bench.core.close()
+    record_run(Simulation(small().to_params()), small(), tmp_path / "run")
+
+    def content(path: Path) -> list[tuple[str, int, bytes]]:
+        (run,) = read_manifest(path).runs
+        with Reader(path) as reader:
+            return sorted(
+                (connection.topic, stamp, data.replace(run.run_id.encode(), b"*" * 32))
+                for connection, stamp, data in reader.messages()
+                if connection.topic not in ("/command_log", "/manifest")
+            )
+
+    first, second = content(tmp_path / "core"), content(tmp_path / "run")
+    assert len(first) == len(second) > 1000
+    assert first == second
+
+
+def test_time_to_zero_begins_a_new_file_and_keeping_time_does_not(tmp_path) -> None:
+    bench = Bench(speed_factor=0.0, record=str(tmp_path / "bag"))
+    bench.load(ENDLESS, paused=True)
+    bench.step(10)
+    bench.core.reset(0)
+    bench.step(10)
+    bench.core.reset(1)
+    bench.step(10)
+    bench.core.close()
+    assert len(read_manifest(tmp_path / "bag").runs) == 2
+    assert len(read_manifest(tmp_path / "bag_1").runs) == 1
+    assert read_manifest(tmp_path / "bag").messages["/train_state"] == 22
+    assert {"bag", "bag_1"} == {p.name for p in tmp_path.iterdir()}
+
+
+def test_a_place_that_is_taken_is_refused_at_the_start(tmp_path) -> None:
+    with pytest.raises(RecordingError, match="exists already"):
+        Bench(record=str(tmp_path))
+
+
+def test_a_run_outlives_its_recording(tmp_path) -> None:
+    bench = Bench(speed_factor=1.0, record=str(tmp_path / "bag"))
+    bench.load(ENDLESS)
+    bench.core.recorder._failure = OSError(28, "No space left on device")
+    bench.go(2.5)
+    assert bench.core.session.time == pytest.approx(2.5, abs=0.05)
+    (status,) = bench.heard.last("/diagnostics").status
+    assert status.level == 2 and "No space left" in status.message
+    assert any(level == Level.ERROR for level, _ in bench.heard.logs)
+    bench.core.close()
