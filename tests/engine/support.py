@@ -22,10 +22,11 @@ from derail_ros.engine import (
     TrackParams,
     TrackSegment,
     TrainParams,
-    stepper,
 )
 from derail_ros.engine import layout as L
+from derail_ros.engine.dynamics import project_positions, project_velocities
 from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.neighbours import rebuild
 
 # The source's coupler table: d_C, d_st, d_so (m), k1 (N/m).
 COUPLERS = {
@@ -164,7 +165,7 @@ def fixed_steps(params, h):
 def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
     """Put a run into a state as it is given, constraints met or not.
 
-    ``remember`` keeps the memory of which wall each corner came through.
+    ``remember`` keeps which wall each corner came through, as of the last step.
     """
     s = run._state
     for own, given in ((s.q, q), (s.v, v), (s.truck_on, truck_on), (s.coupled, coupled)):
@@ -175,14 +176,10 @@ def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
             x = s.q[i, 0] + r * math.cos(s.q[i, 2])
             y = s.q[i, 1] + r * math.sin(s.q[i, 2])
             s.truck_s[i, k] = run.track.locate(x, y)[0]
-    if remember:
-        stepper.track_contacts(run._model, s, run.time, 0.0)
-    else:
+    if not remember:
         s.cnt[L.N_PAIRS] = 0
-    run._grow_until(stepper.rebuild(run._model, s, run._work))
-    assert stepper.evaluate(run._model, s, run._work)
-    if remember:
-        stepper.track_contacts(run._model, s, run.time, 0.0)
+    run._grow_until(rebuild(run._model, s, run._work))
+    assert run._evaluate()
     for last, now in (
         (s.q0, s.q),
         (s.v0, s.v),
@@ -208,8 +205,8 @@ def start(params, q=None, v=None, **constraints):
 def project(run):
     """Move the state onto the constraints, in the metric of the masses."""
     s = run._state
-    assert stepper.project_positions(run._model, s, run._work, s.truck_on, s.coupled, s.q)
-    stepper.project_velocities(run._model, run._work, s.truck_on, s.coupled, s.v)
+    assert project_positions(run._model, s, run._work, s.truck_on, s.coupled, s.q)
+    project_velocities(run._model, run._work, s.truck_on, s.coupled, s.v)
     return place(run)
 
 

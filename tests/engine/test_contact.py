@@ -17,6 +17,7 @@ from tests.engine.support import (
     place,
     start,
     steps_of,
+    with_integration,
 )
 
 COUNTED = settings(deadline=None, max_examples=300, derandomize=True)
@@ -53,11 +54,21 @@ def coordinates(poses):
     return np.column_stack([p, p[:, 2], p[:, 2]])
 
 
-def pair(pose, velocity=(0.0, 0.0, 0.0), run=TWINS_RUN, other=(0.0, 0.0, 0.0), remember=False):
+def pair(pose, velocity=(0.0, 0.0, 0.0), run=TWINS_RUN, other=(0.0, 0.0, 0.0)):
     """Sample of two cars: car 1 at ``pose`` and ``velocity``, car 2 at ``other`` at rest."""
     q = coordinates([pose, other])
     v = coordinates([velocity, (0.0, 0.0, 0.0)])
-    return place(run, q, v, remember=remember).sample()
+    return place(run, q, v).sample()
+
+
+def passing(poses):
+    """Sample of two cars, car 1 taken from pose to pose, none too far from the last."""
+    run = start(with_integration(TWINS, max_step=1e-5), coordinates([poses[0], (0.0,) * 3]))
+    for pose in poses:
+        # a step at rest, in which the memory of the corners is brought up to date
+        run.advance_steps(1)
+        place(run, coordinates([pose, (0.0, 0.0, 0.0)]), np.zeros((2, 5)), remember=True)
+    return run.sample()
 
 
 # By hand ---------------------------------------------------------------------------------------
@@ -248,8 +259,8 @@ def test_a_passing_pair_just_hit_and_just_missed(gap, count):
 def test_a_corner_inside_keeps_the_wall_it_came_through(depth):
     # car 1 stands across and its rear comes down through the left wall of car 2
     across = 0.5 * math.pi
-    for y in np.append(np.arange(0.3, -depth, -0.1), -depth):
-        sample = pair((1.0, B + A + y, across), remember=True)
+    path = np.append(np.arange(0.3, -depth, -0.1), -depth)
+    sample = passing([(1.0, B + A + y, across) for y in path])
     force = sample.collision_force[0]
     assert force[1] == pytest.approx(2 * F_MAX, rel=1e-9)
     assert sample.corner_gap[0, 2:] == pytest.approx([-depth, -depth])
@@ -260,20 +271,20 @@ def test_a_corner_inside_keeps_the_wall_it_came_through(depth):
 
 def test_a_corner_forgets_its_wall_once_it_is_out():
     across = 0.5 * math.pi
-    for y in np.arange(0.3, -2 * B - 0.1, -0.1):
-        sample = pair((1.0, B + A + y, across), remember=True)
+    through = [(1.0, B + A + y, across) for y in np.arange(0.3, -2 * B - 0.15, -0.1)]
     # out on the far side: pushed away from there
-    assert sample.collision_force[0, 1] < 0.0
-    for y in np.arange(-2 * B - 0.1, -2 * B + 0.5, 0.1):
-        sample = pair((1.0, B + A + y, across), remember=True)
-    # and back in through the far wall, which it now keeps
+    assert passing(through).collision_force[0, 1] < 0.0
+    back = [(1.0, B + A + y, across) for y in np.arange(-2 * B - 0.1, -B + 0.5, 0.1)]
+    # and back in through the far wall, which it now keeps past the middle
+    sample = passing(through + back)
+    assert sample.corner_gap[0, 2] < -B
     assert sample.collision_force[0, 1] == pytest.approx(-2 * F_MAX)
 
 
 def test_a_corner_that_enters_at_a_corner_takes_the_wall_it_is_least_behind():
     # from the corner region of car 2's front left, diagonally in
-    for k in np.arange(0.5, -0.4, -0.05):
-        sample = pair((A + A + 0.3 * k, B + B + k, 0.0), remember=True)
+    steps = np.arange(0.5, -0.36, -0.05)
+    sample = passing([(A + A + 0.3 * k, B + B + k, 0.0) for k in steps])
     # 0.35 m behind the left wall, 0.105 m behind the front one
     assert sample.collision_force[0] == pytest.approx([2 * F_MAX, 0.0], abs=1e-3)
 
