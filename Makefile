@@ -20,6 +20,15 @@ else
 ROS ?= 0
 endif
 
+# Asked for another interpreter than that of the environment: begin anew.
+ifdef PYTHON
+ifneq ($(wildcard $(STAMPS)/venv),)
+ifneq ($(file <$(STAMPS)/venv),$(PYTHON))
+$(shell rm -rf $(STAMPS))
+endif
+endif
+endif
+
 # Another environment's Python must not leak into this one.
 unexport PYTHONPATH PYTHONHOME
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -49,10 +58,10 @@ MSGS_SOURCES := derail_msgs/CMakeLists.txt derail_msgs/package.xml derail_msgs/p
 PROJECT_SOURCES := setup.py setup.cfg pyproject.toml constraints.txt derail_ros/__init__.py
 ifeq ($(ROS),0)
 EXTRAS := studies,dev
-PARTS := $(STAMPS)/project
+PARTS := $(STAMPS)/project-$(EXTRAS)
 else
 EXTRAS := ros,studies,dev
-PARTS := $(STAMPS)/msgs $(STAMPS)/project
+PARTS := $(STAMPS)/msgs $(STAMPS)/project-$(EXTRAS)
 endif
 
 .PHONY: help env run test lint verify bench clean
@@ -60,16 +69,16 @@ endif
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-env: $(STAMPS)/env  ## make .venv with everything in it (and .venv/bin/derail)
+env: $(STAMPS)/env-ros$(ROS)  ## make .venv with everything in it (and .venv/bin/derail)
 
 $(STAMPS)/venv:
 	@$(find_python); \
 	echo "env: new environment in $(VENV) with $$("$$python" --version), $$(command -v "$$python")"; \
-	rm -rf $(VENV); "$$python" -m venv $(VENV)
-	@$(call pip,pip,install --upgrade pip==$(PIP_VERSION))
-	@mkdir -p $(STAMPS); touch $@
+	rm -rf $(VENV); "$$python" -m venv $(VENV); \
+	$(call pip,pip,install --upgrade pip==$(PIP_VERSION)); \
+	mkdir -p $(STAMPS); echo "$$python" >$@
 
-$(STAMPS)/project: $(PROJECT_SOURCES) | $(STAMPS)/venv
+$(STAMPS)/project-$(EXTRAS): $(PROJECT_SOURCES) | $(STAMPS)/venv
 	@echo "env: installing derail_ros [$(EXTRAS)] from this folder and what it needs"
 	@$(call pip,project,install --constraint constraints.txt --editable '.[$(EXTRAS)]')
 	@touch $@
@@ -77,13 +86,13 @@ $(STAMPS)/project: $(PROJECT_SOURCES) | $(STAMPS)/venv
 # The wheel of the messages takes a minute or two: built beside the rest, and only when they change.
 $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
 	@echo "env: building derail_msgs against the ROS 2 wheels (a minute or two)"
-	@command -v g++ >/dev/null && command -v cmake >/dev/null && command -v make >/dev/null || { \
-	  echo "derail_msgs needs a C++ compiler, cmake and make (Debian, Ubuntu: apt-get install g++ cmake make)" >&2; exit 1; }
+	@command -v "$${CXX:-g++}" >/dev/null || { \
+	  echo "derail_msgs needs a C++ compiler (Debian, Ubuntu: apt-get install g++), or make ROS=0" >&2; exit 1; }
 	@rm -rf $(VENV)/wheels
 	@$(call pip,derail_msgs,wheel --no-deps --build-constraint constraints.txt --wheel-dir $(VENV)/wheels ./derail_msgs)
 	@touch $@
 
-$(STAMPS)/env: $(MSGS_SOURCES) $(PROJECT_SOURCES)
+$(STAMPS)/env-ros$(ROS): $(MSGS_SOURCES) $(PROJECT_SOURCES)
 	@$(MAKE) -s $(STAMPS)/venv
 	@$(MAKE) -s -j2 $(PARTS)
 	@if [ "$(ROS)" != 0 ]; then \
@@ -112,7 +121,7 @@ verify: env  ## the slow tests, and those with a ROS graph REPEATS times
 	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "ros and not slow" $(PYTEST_ARGS); done
 
 bench: env  ## measure, and print the tables of the documentation
-	@for file in benchmarks/bench_*.py; do \
+	@shopt -s nullglob; for file in benchmarks/bench_*.py; do \
 	  echo "== $$file"; $(BIN)/python "$$file"; done
 
 clean:  ## remove the environment, builds and caches
