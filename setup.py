@@ -94,6 +94,18 @@ def files(folder: str, target: str, pattern: str = "*") -> list[tuple[str, list[
     return sorted(found.items())
 
 
+def data(package: str) -> list[str]:
+    """List what a package has beside code: pages, tables, definitions."""
+    folder = ROOT / package
+    return [
+        path.relative_to(folder).as_posix()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix not in (".py", ".pyc")
+    ]
+
+
+PACKAGES = (NAME, "msg_adapters")
+
 setup(
     name=NAME,
     version=version(),
@@ -111,10 +123,8 @@ setup(
         "Programming Language :: Python :: 3",
         "Topic :: Scientific/Engineering :: Physics",
     ],
-    packages=find_packages(
-        include=["derail_ros", "derail_ros.*", "msg_adapters", "msg_adapters.*"]
-    ),
-    package_data={"": ["py.typed", "*.html", "*.css", "*.js", "*.svg", "*.json", "*.yaml"]},
+    packages=find_packages(include=[*PACKAGES, *(f"{package}.*" for package in PACKAGES)]),
+    package_data={package: data(package) for package in PACKAGES},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

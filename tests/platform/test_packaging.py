@@ -19,6 +19,12 @@ PACKAGES = ("derail_ros", "msg_adapters")
 ROSDEP = {"python3-yaml": "pyyaml", "python3-rosbags-pip": "rosbags"}
 # names at PyPI -> what is imported, where it differs
 IMPORTS = {"pyyaml": "yaml", "dask": "dask", "salib": "SALib"}
+# modules that a base dependency brings and that may be used with it
+BROUGHT = {
+    "numba": {"llvmlite"},
+    "pydantic": {"pydantic_core", "annotated_types"},
+    "rosbags": {"lz4", "zstandard", "backports", "compression"},
+}
 # what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
 NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros"}
 WHEELS_ONLY = {"rmw_fastrtps_cpp", "rosidl_default_runtime", "rosidl_generator_py"}
@@ -142,11 +148,11 @@ def test_every_folder_with_code_is_a_package(arguments):
 
 
 def test_data_in_the_packages_is_installed(arguments):
-    patterns = arguments["package_data"][""]
     for package in PACKAGES:
+        listed = set(arguments["package_data"][package])
         for path in (ROOT / package).rglob("*"):
             if path.is_file() and path.suffix not in (".py", ".pyc"):
-                assert any(path.match(pattern) for pattern in patterns), path
+                assert path.relative_to(ROOT / package).as_posix() in listed
 
 
 def imported(path: Path) -> dict[str, bool]:
@@ -183,8 +189,7 @@ def modules(arguments) -> dict[str, set[str]]:
     extras = arguments["extras_require"]
     ros = {re.sub(r"^ros_", "", module) for module in of(extras["ros"])}
     return {
-        "base": of(arguments["install_requires"])
-        | {"llvmlite", "pydantic_core", "annotated_types"},  # of numba and pydantic
+        "base": of(arguments["install_requires"]).union(*BROUGHT.values()),
         "ros": ros | {"derail_msgs", "rcl_interfaces"},
         "studies": of(extras["studies"]) | {"distributed"},
         "figures": {"mpl_toolkits"},

@@ -1,0 +1,79 @@
+"""A wheel of the tree, installed: complete, executable, and it finds its configuration."""
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TREE = ["derail_ros", "msg_adapters", "config", "launch", "resource", "scripts"]
+FILES = ["setup.py", "setup.cfg", "pyproject.toml", "package.xml"]
+DATA = "derail_ros-{version}.data/data/"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Build a wheel from a copy of the tree, so that nothing is left behind in it."""
+    pytest.importorskip("setuptools")
+    folder = tmp_path_factory.mktemp("wheel")
+    copy = folder / "tree"
+    for name in TREE:
+        shutil.copytree(
+            ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", ".*")
+        )
+    for name in FILES:
+        shutil.copy(ROOT / name, copy / name)
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
+    command += ["--no-build-isolation", "--wheel-dir", str(folder), str(copy)]
+    subprocess.run(command, check=True, capture_output=True)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+def run_elsewhere(folder: Path, path: Path, code: str) -> str:
+    """Run a Python without this environment's packages but with those below ``path``."""
+    program = f"import sys; sys.path.insert(0, {str(path)!r})\n{code}"
+    answer = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", program],
+        cwd=folder,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return answer.stdout.strip()
+
+
+def test_the_wheel_has_every_file_of_the_tree(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    data = DATA.format(version=wheel.name.split("-")[1])
+    for package in ("derail_ros", "msg_adapters"):
+        for path in (ROOT / package).rglob("*"):
+            if path.is_file() and path.suffix != ".pyc":
+                assert path.relative_to(ROOT).as_posix() in names
+    for path in (ROOT / "config").rglob("*"):
+        if path.is_file() and not path.name.startswith("."):
+            assert f"{data}share/derail_ros/{path.relative_to(ROOT).as_posix()}" in names
+    assert not any(name.startswith(("tests", "docs", "launch/")) for name in names)
+
+
+@pytest.mark.parametrize("how", ["prefix", "target"])
+def test_an_installation_finds_its_configuration(wheel, tmp_path, how):
+    folder = tmp_path / "there"
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    command += ["--ignore-installed", f"--{how}", str(folder), str(wheel)]
+    subprocess.run(command, check=True, capture_output=True)
+    (package,) = folder.rglob("derail_ros/__init__.py")
+    code = "from derail_ros.config_path import config_dir; print(config_dir())"
+    found = Path(run_elsewhere(tmp_path, package.parents[1], code))
+    assert found == folder / "share" / "derail_ros" / "config"
+    assert {path.name for path in found.iterdir()} == {
+        path.name for path in (ROOT / "config").iterdir() if not path.name.startswith(".")
+    }
+    if how == "target":
+        return  # pip leaves out executables there
+    for executable in ("simulator", "recorder", "player"):
+        path = folder / "lib" / "derail_ros" / executable
+        assert path.stat().st_mode & 0o111
