@@ -10,7 +10,7 @@ What a run computes depends on the run alone: not on the number of jobs, the ord
 
 Runs go to threads of one process: the engine's kernels release the interpreter's lock for whole
 stretches of a run. Two threads spend the same processor time on a run as one (24 Mississauga
-runs: 15.2 s against 15.1 s), without the seconds and the 200 MB a worker process takes to start,
+runs: 11.7 s against 11.6 s), without the seconds and the 200 MB a worker process takes to start,
 and there is nothing left behind when the command is stopped.
 """
 
