@@ -210,6 +210,22 @@ def project(run):
     return place(run)
 
 
+def propose(run, h):
+    """Make the next step one of ``h``, if nothing else shortens it."""
+    run._state.clock[L.H_NEXT] = h
+    return run
+
+
+def kicked(params, seed, angle=0.02, rate=0.2):
+    """A run from a random state that meets its constraints."""
+    rng = np.random.default_rng(seed)
+    run = Simulation(params)
+    home = run.sample()
+    q = home.q + rng.normal(0.0, angle, home.q.shape)
+    v = home.v + rng.normal(0.0, rate, home.v.shape)
+    return project(place(run, q, v))
+
+
 def steps_of(run, until):
     """Advance one step at a time; yields after each."""
     while not run.ended and run.time < until:

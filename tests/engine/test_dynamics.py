@@ -18,26 +18,14 @@ from tests.engine.support import (
     NO_CONTACT,
     all_trucks,
     free_train,
+    kicked,
     make_car,
     make_train,
     mixed_cars,
-    place,
-    project,
     relative,
     start,
     tight,
 )
-
-
-def kicked(params, seed, angle=0.02, rate=0.2):
-    """A run from a random state that meets its constraints."""
-    rng = np.random.default_rng(seed)
-    run = Simulation(params)
-    home = run.sample()
-    q = home.q + rng.normal(0.0, angle, home.q.shape)
-    v = home.v + rng.normal(0.0, rate, home.v.shape)
-    return project(place(run, q, v))
-
 
 # A closed solution -----------------------------------------------------------------------------
 
