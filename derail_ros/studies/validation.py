@@ -15,6 +15,7 @@ Goals, over the cases that have the measure; p published, m mean, median or band
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -23,7 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.studies.ensemble import Result, Run, ScenarioLike, ensemble_runs, run_many
+from derail_ros.studies.ensemble import (
+    VARIATION,
+    Result,
+    Run,
+    ScenarioLike,
+    ensemble_runs,
+    run_many,
+)
 from derail_ros.studies.records import counted, failed_record, flatten, outcome_record
 
 Loader = Callable[[str], ScenarioLike]
@@ -267,7 +275,7 @@ def goals(results: Sequence[CaseResult], limits: Mapping[str, float]) -> list[Go
     found.append(
         Goal(
             "peak_log_ratio",
-            "peak force, median of |ln(published / median)|",
+            "peak force, median size of ln(published / median)",
             limits["peak_log_ratio"],
             float(np.median(ratios)) if ratios else None,
             False,
@@ -415,19 +423,23 @@ def verdict(s: Spread, digits: int) -> str:
 
 def markdown(validation: Validation) -> str:
     """The page ``docs/validation.md``."""
+    intro = (
+        "The model restates that of E. E. Toma, *A Computer Model of a Derailment*, PhD thesis, "
+        "Queen's University, 1998. Its published results are single runs, and outcomes are "
+        "chaotic: once cars collide, a small change of the force that starts the motion grows "
+        "until another car is struck, or one more derails. So each published run is compared "
+        f"with an ensemble of {validation.members} runs, the lateral force varied uniformly by "
+        f"up to {100 * VARIATION:g} % (seed {validation.seed}; the first member is the case "
+        "itself). The band is that of the 5 % and 95 % quantiles; sd is the standard deviation "
+        "of single runs. Runs that are void (the body that stands for the cars behind reached "
+        "the break) are left out."
+    )
     lines = [
         "# Validation: comparison with the published runs",
         "",
         "Written by `derail validate --write`; do not edit.",
         "",
-        "The model restates that of E. E. Toma, *A Computer Model of a Derailment*, PhD thesis,",
-        "Queen's University, 1998. Its published results are single runs, and outcomes are",
-        "chaotic: a change of the initiating lateral force by 1 % moves a peak force by tens of",
-        "percent and the count by a car. So each published run is compared with an ensemble of",
-        f"{validation.members} runs, the lateral force varied uniformly by up to 4 % (seed",
-        f"{validation.seed}; the first member is the case itself). The band is that of the 5 %",
-        "and 95 % quantiles; sd is the standard deviation of single runs. Runs that are void (the",
-        "body that stands for the cars behind reached the break) are left out.",
+        *textwrap.wrap(intro, 99),
         "",
         "## Goals",
         "",
