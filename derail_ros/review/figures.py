@@ -285,7 +285,8 @@ def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float
             )
         )
     size = float(np.clip(0.62 * 2.6 * points_per_metre, 5.0, 10.0))
-    for i, (x, y) in enumerate(scene.pose[:, :2]):
+    places = _label_places(scene, 2.4 * size / points_per_metre)
+    for i, (x, y) in enumerate(places):
         if not real[i]:
             # In the middle of what can be seen of it, if that is not too little.
             seen = np.clip(corners[i, :, 0], window[0], window[1])
@@ -324,6 +325,28 @@ def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float
                 bbox={"boxstyle": "round,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.85},
                 annotation_clip=True,
             )
+
+
+def _label_places(scene: Scene, apart: float) -> NDArray:
+    """Places of the numbers, (N, 2): the middle of the car, or along it where another is there.
+
+    ``apart`` is the distance at which two numbers do not touch, m.
+    """
+    places = scene.pose[:, :2].copy()
+    axis = np.stack([np.cos(scene.pose[:, 2]), np.sin(scene.pose[:, 2])], axis=-1)
+    for i in range(len(places)):
+        others = places[:i]
+        best, room = places[i], -1.0
+        for share in (0.0, 0.2, -0.2, 0.32, -0.32):
+            place = scene.pose[i, :2] + share * scene.length[i] * axis[i]
+            near = float(np.linalg.norm(others - place, axis=1).min(initial=np.inf))
+            if near > room:
+                best, room = place, near
+            if near >= apart:
+                best = place
+                break
+        places[i] = best
+    return places
 
 
 def _draw_couplers(axes: Axes, scene: Scene, points_per_metre: float) -> None:

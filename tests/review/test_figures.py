@@ -218,6 +218,15 @@ def test_nothing_runs_off_the_page(title):
         assert box.y1 <= height
 
 
+def test_numbers_of_cars_that_lie_on_each_other_do_not():
+    pose = np.zeros((3, 3))
+    pose[:, 0] = [0.0, 0.5, 60.0]
+    scene = make_scene(cars(3), pose, np.zeros((3, 2)), np.zeros(2))
+    places = figures._label_places(scene, 2.0)
+    assert np.linalg.norm(places[1] - places[0]) >= 2.0
+    np.testing.assert_allclose(places[[0, 2]], pose[[0, 2], :2])
+
+
 # peak_forces -------------------------------------------------------------------------------
 
 
