@@ -182,7 +182,7 @@ def test_virtual_brakes_arrive_at_their_own_cars():
     s = run.sample(2.5)
     v = s.v[1, 0]
     mu = (v + 19.223) / (v + 9.388) * 9.388 / 19.223
-    assert s.brake_force[1] == pytest.approx(62e3 * mu * (0.15 + 0.05), rel=1e-9)
+    assert s.brake_force[1] == pytest.approx(62e3 * mu * (0.15 + 0.05), rel=1e-6)
     reached = [(e.cars, e.time) for e in run.events if e.kind.name == "BRAKE_SIGNAL_REACHED"]
     assert reached == [((1,), 0.0), ((2,), 1.0), ((3,), 2.0)]
 
