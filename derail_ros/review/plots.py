@@ -543,7 +543,7 @@ def _space_time(run: Run) -> Figure:
     s, _ = along_track(run.line, flat[..., 0].ravel(), flat[..., 1].ravel())
     s = s.reshape(len(index), len(shown))
     off = run.derailed[index][:, shown]
-    for k, i in enumerate(shown):
+    for k in range(len(shown)):
         axes.plot(time, s[:, k], color="#9aa0a6", lw=0.9, zorder=2)
         gone = np.where(off[:, k], s[:, k], np.nan)
         axes.plot(time, gone, color=BLUE, lw=1.5, zorder=3)
