@@ -55,6 +55,8 @@ TEST = [
     "scipy>=1.11",
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",
+    "sympy>=1.12",
+    "jsonschema>=4",
     "setuptools>=68",
     "catkin-pkg>=1",
 ]
