@@ -33,6 +33,15 @@ def wheel(tmp_path_factory) -> Path:
     return found
 
 
+def files(folder: Path) -> set[Path]:
+    """Return the files below a folder, hidden ones left out."""
+    return {
+        path.relative_to(folder)
+        for path in folder.rglob("*")
+        if path.is_file() and not path.name.startswith(".")
+    }
+
+
 def run_elsewhere(folder: Path, path: Path, code: str) -> str:
     """Run a Python without this environment's packages but with those below ``path``."""
     program = f"import sys; sys.path.insert(0, {str(path)!r})\n{code}"
@@ -69,9 +78,7 @@ def test_an_installation_finds_its_configuration(wheel, tmp_path, how):
     code = "from derail_ros.config_path import config_dir; print(config_dir())"
     found = Path(run_elsewhere(tmp_path, package.parents[1], code))
     assert found == folder / "share" / "derail_ros" / "config"
-    assert {path.name for path in found.iterdir()} == {
-        path.name for path in (ROOT / "config").iterdir() if not path.name.startswith(".")
-    }
+    assert files(found) == files(ROOT / "config")
     if how == "target":
         return  # pip leaves out executables there
     for executable in ("simulator", "recorder", "player"):
