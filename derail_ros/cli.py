@@ -146,6 +146,113 @@ def validate(
     return command.run(members, seed, jobs, settings or [], as_json, to if write else None)
 
 
+Bag = Annotated[str, typer.Argument(help="A recording: its folder, or a file of it.")]
+RunOption = Annotated[
+    str | None,
+    typer.Option(
+        "--run", help="Which run of several: number, or beginning of its identity; default: last."
+    ),
+]
+Namespace = Annotated[
+    str | None, typer.Option("--namespace", help="Of the topics, where several were recorded.")
+]
+
+
+@app.command()
+def review(
+    bag: Bag,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Empty folder.")],
+    run: RunOption = None,
+    namespace: Namespace = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    replay: Annotated[bool, typer.Option(help="Write the replay page.")] = True,
+    as_json: Json = False,
+) -> int:
+    """Tell what happened in a recording: summary, figures and a replay page."""
+    from derail_ros.commands import review as command
+
+    return command.run(bag, output, run, namespace, figures, replay, as_json)
+
+
+@app.command()
+def export(
+    bag: Bag,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Empty folder.")],
+    form: Annotated[str, typer.Option("--format", help="csv or parquet.")] = "csv",
+    run: RunOption = None,
+    namespace: Namespace = None,
+) -> int:
+    """Write the histories of the cars in a recording as tables, with units."""
+    from derail_ros.commands import export as command
+
+    return command.run(bag, output, form, run, namespace)
+
+
+@app.command()
+def compare(
+    first: Bag,
+    second: Bag,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Write the scenes and JSON there."),
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare two recordings: measures, scenes and events."""
+    from derail_ros.commands import compare as command
+
+    return command.run(first, second, output, as_json)
+
+
+@app.command()
+def animate(
+    bag: Bag,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="A name in .mp4 or .gif.")
+    ],
+    run: RunOption = None,
+    namespace: Namespace = None,
+    fps: Annotated[int, typer.Option(min=1, max=60, help="Pictures a second.")] = 20,
+    rate: Annotated[float, typer.Option(help="Recorded time per time of the film.")] = 1.0,
+    width: Annotated[int, typer.Option(min=320, max=3840, help="Pixels.")] = 960,
+    start: Annotated[float | None, typer.Option(help="From this time on, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="Up to this time, s.")] = None,
+) -> int:
+    """Make a film of a recording, seen from above."""
+    from derail_ros.commands import animate as command
+
+    return command.run(bag, output, run, namespace, fps, rate, width, start, end)
+
+
+@app.command()
+def play(
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help="Recorded time per wall time.")] = 1.0,
+    start: Annotated[float, typer.Option(help="Begin so long after the beginning, s.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Wait for resume.")] = False,
+    clock: Annotated[bool, typer.Option(help="Publish /clock.")] = True,
+) -> int:
+    """Publish a recording on a ROS 2 graph: the node ``player``."""
+    from derail_ros.commands import play as command
+
+    return command.run(bag, rate, start, loop, paused, clock)
+
+
+@app.command()
+def repair(
+    bag: Bag,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="New folder; default: BAG_repaired."),
+    ] = None,
+) -> int:
+    """Make a recording whole whose recorder was killed: a new one, with index and metadata."""
+    from derail_ros.commands import repair as command
+
+    return command.run(bag, output)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; its exit code. Errors are one line on stderr."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)

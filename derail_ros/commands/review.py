@@ -1,0 +1,115 @@
+"""``derail review``: what happened in a recording, as text, figures and a replay page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from derail_ros.commands import common
+from derail_ros.commands.common import OK, CommandFailure, note
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from derail_ros.review.bag import Run
+
+
+def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> Run:
+    """Read a recording; what is wrong with it goes to stderr.
+
+    Raises
+    ------
+    CommandFailure
+        If it cannot be read.
+    """
+    from derail_ros.review.bag import read_bag
+
+    with bag_errors():
+        found = read_bag(path, run, namespace)
+    warn(found.warnings, found.path)
+    return found
+
+
+@contextmanager
+def bag_errors() -> Iterator[None]:
+    """Turn what is wrong with a recording or a disk into a line for the user."""
+    from derail_ros.review.storage import BagError
+
+    try:
+        yield
+    except BagError as error:
+        raise CommandFailure(str(error)) from None
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        raise CommandFailure(f"{place}{error.strerror or error}") from None
+
+
+def warn(warnings: Iterable[str], path: Path) -> None:
+    """Print warnings on a recording."""
+    for warning in warnings:
+        note(f"derail: warning: {path}: {warning}")
+
+
+def run(
+    bag: str,
+    output: Path,
+    chosen: str | None,
+    namespace: str | None,
+    figures: bool,
+    replay: bool,
+    as_json: bool,
+) -> int:
+    """Review a recording; the exit code."""
+    from derail_ros.review import summary
+
+    found = read(bag, chosen, namespace)
+    output = common.output_directory(output)
+    facts = summary.findings(found)
+    with bag_errors():
+        common.write_json(output / "summary.json", facts)
+        text = summary.text(found, facts)
+        (output / "summary.txt").write_text(text, encoding="utf-8")
+        written = ["summary.txt", "summary.json"]
+        if replay:
+            from derail_ros.review import replay as page
+
+            page.write(found, output / "replay.html", facts)
+            written.append("replay.html")
+        if figures:
+            written += write_figures(found, output)
+    if as_json:
+        common.print_json(facts)
+        return OK
+    from derail_ros.review import words
+
+    sentence = words.sentence(found)
+    print(found.title)
+    print(f"{sentence[:1].upper()}{sentence[1:]}.")
+    print(words.stopped_by(found))
+    print(f"in {output}: {', '.join(written)}")
+    return OK
+
+
+def write_figures(found: Run, output: Path) -> list[str]:
+    """Draw the figures of a run and return their names."""
+    from derail_ros.review import figures as scenes
+    from derail_ros.review import plots
+    from derail_ros.review.summary import final_scene
+
+    written: list[str] = []
+
+    def save(figure: Figure | None, name: str) -> None:
+        if figure is not None:
+            scenes.save(figure, output / name)
+            written.append(name)
+
+    save(scenes.final_scene(final_scene(found)), "final_scene.png")
+    for k, contact in enumerate(plots.main_collisions(found), 1):
+        save(plots.collision(found, contact), f"collision_{k}.png")
+    save(plots.peak_forces(found), "peak_forces.png")
+    save(plots.speeds(found), "speeds.png")
+    save(plots.energy_over_time(found), "energy.png")
+    save(plots.space_time(found), "space_time.png")
+    return written

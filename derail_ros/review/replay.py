@@ -1,0 +1,349 @@
+"""The replay page: a run as one HTML file that needs no network.
+
+The page is put together from ``replay.html``, ``replay.css`` and ``replay.js``. Its content
+policy allows just this script and this style, by their hashes, and nothing from anywhere else.
+Strings of the recording reach it escaped, and the script sets them as text only.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import math
+import zlib
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.review import summary, words
+
+if TYPE_CHECKING:
+    from derail_ros.review.bag import Run
+
+STATES = 2500
+"""No more states than this are put into the page; of longer runs every second, third ..."""
+ENERGY_ROWS = 300
+
+# Name, size of a step in the page's numbers, order of the differences that are stored.
+RESOLUTION = {
+    "time": (1e-6, 2),
+    "x": (1e-3, 2),
+    "y": (1e-3, 2),
+    "yaw": (1e-4, 2),
+    "alpha": (1e-3, 2),
+    "beta": (1e-3, 2),
+    "speed": (1e-2, 1),
+    "force": (1e3, 1),
+}
+
+ENERGY_PARTS = (
+    ("work_brakes", "brakes"),
+    ("work_ground_trucks", "ground, trucks"),
+    ("work_ground_body", "ground, bodies"),
+    ("work_collisions", "collisions"),
+)
+
+
+def page(run: Run, facts: dict[str, Any] | None = None) -> str:
+    """The replay page of a run as HTML."""
+    template, style, script = (_text(f"replay.{kind}") for kind in ("html", "css", "js"))
+    facts = summary.findings(run) if facts is None else facts
+    policy = "; ".join(
+        (
+            "default-src 'none'",
+            f"script-src '{_hash(script)}'",
+            f"style-src '{_hash(style)}'",
+            "img-src data:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        )
+    )
+    parts = {
+        "CSP": policy,
+        "TITLE": html.escape(run.title),
+        "OUTCOME": html.escape(_capital(words.sentence(run)) + "."),
+        "STOPPED": html.escape(words.stopped_by(run)),
+        "SOURCE": html.escape(_source(run)),
+        "WARNINGS": _warnings(run),
+        "DATA": script_json(data(run, facts)),
+        "CSS": style,
+        "JS": script,
+    }
+    # One pass, so that what a recording says is never taken for a place holder.
+    pieces = template.split("@")
+    return "".join(piece if k % 2 == 0 else parts[piece] for k, piece in enumerate(pieces))
+
+
+def write(run: Run, path: Path, facts: dict[str, Any] | None = None) -> Path:
+    """Write the replay page of a run."""
+    path.write_text(page(run, facts), encoding="utf-8")
+    return path
+
+
+def _text(name: str) -> str:
+    return resources.files("derail_ros.review").joinpath(name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return "sha256-" + base64.b64encode(digest).decode("ascii")
+
+
+def script_json(value: Any) -> str:
+    """JSON that cannot end the script element that it stands in."""
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return text
+
+
+def _capital(line: str) -> str:
+    return line[:1].upper() + line[1:]
+
+
+def _source(run: Run) -> str:
+    states = f"{len(run.time)} states from {run.time[0]:.2f} s to {run.time[-1]:.2f} s"
+    return (
+        f"Recording {run.path.name}, run {run.run_id}; scenario {run.name} {run.scenario_hash};"
+        f" {states}; computed by derail_ros {run.software}."
+    )
+
+
+def _warnings(run: Run) -> str:
+    notes = [html.escape(w) for w in run.warnings]
+    if run.result.void:
+        notes.insert(0, "Not a valid run: a body that stands for many cars reached the break.")
+    if not notes:
+        return ""
+    items = "".join(f"<li>{note}</li>" for note in notes)
+    return f'<div class="warning" role="note"><ul>{items}</ul></div>'
+
+
+# --- numbers ---------------------------------------------------------------------------------
+
+
+def pack(name: str, values: NDArray[Any]) -> tuple[dict[str, Any], bytes]:
+    """Whole multiples of a step, as differences, byte plane by byte plane: it compresses well."""
+    step, order = RESOLUTION[name]
+    table = np.atleast_2d(np.asarray(values, dtype=float))
+    if np.ndim(values) == 1:
+        table = table.T
+    table = np.nan_to_num(table, nan=0.0, posinf=0.0, neginf=0.0)
+    whole = np.round(table / step).astype(np.int64)
+    for _ in range(order):
+        whole = np.diff(whole, axis=0, prepend=np.zeros((1, whole.shape[1]), dtype=np.int64))
+    reach = int(np.abs(whole).max(initial=0)) + 1
+    width = next(w for w in (1, 2, 3, 4, 5, 6) if reach < 1 << (8 * w - 1))
+    planes = whole.astype("<i8").reshape(-1).view(np.uint8).reshape(-1, 8)[:, :width]
+    head = {
+        "name": name,
+        "rows": whole.shape[0],
+        "columns": whole.shape[1],
+        "bytes": width,
+        "scale": step,
+        "order": order,
+    }
+    return head, np.ascontiguousarray(planes.T).tobytes()
+
+
+def _some(count: int, most: int) -> NDArray[np.int64]:
+    """Indices of about ``most`` of ``count`` entries at most, the first and the last too."""
+    step = max(1, math.ceil(count / most))
+    return np.unique(np.append(np.arange(0, count, step), count - 1))
+
+
+def data(run: Run, facts: dict[str, Any]) -> dict[str, Any]:
+    """All that the page shows, as plain data."""
+    keep = _some(len(run.time), STATES)
+    columns = {
+        "time": run.time[keep],
+        "x": run.pose[keep, :, 0],
+        "y": run.pose[keep, :, 1],
+        "yaw": run.pose[keep, :, 2],
+        "alpha": run.coupler[keep, :, 0],
+        "beta": run.coupler[keep, :, 1],
+        "speed": run.speed[keep],
+        "force": run.contact_force[keep],
+    }
+    packed = [pack(name, values) for name, values in columns.items()]
+    blob = zlib.compress(b"".join(raw for _, raw in packed), 9)
+    return {
+        "parts": [head for head, _ in packed],
+        "blob": base64.b64encode(blob).decode("ascii"),
+        "cars": [_car(run, i) for i in range(run.n)],
+        "track": _track(run),
+        "site": site(run),
+        "off": _off(run),
+        "parted": _parted(run),
+        "contacts": [
+            {
+                "a": c.car_a,
+                "b": c.car_b,
+                "start": round(c.start, 6),
+                "end": None if math.isnan(c.end) else round(c.end, 6),
+                "peak": round(c.peak_force, 1),
+                "peakTime": round(c.peak_time, 6),
+                "closing": round(c.closing_speed, 4) if math.isfinite(c.closing_speed) else 0.0,
+                "x": round(c.x, 3),
+                "y": round(c.y, 3),
+                "angle": round(math.degrees(c.angle), 2) if math.isfinite(c.angle) else 0.0,
+                "touch": c.touch,
+            }
+            for c in run.contacts
+        ],
+        "timeline": [
+            {
+                "time": round(e["time_s"], 6),
+                "kind": e["kind"],
+                "cars": e["cars"],
+                "text": _capital(e["text"]),
+            }
+            for e in facts["timeline"]
+        ],
+        "carEvents": _car_events(run),
+        "energy": _energy(run),
+    }
+
+
+def _car(run: Run, i: int) -> dict[str, Any]:
+    cars = run.cars
+    return {
+        "name": cars.name[i],
+        "kind": cars.kind[i],
+        "contents": cars.contents[i],
+        "mass": float(cars.mass[i]),
+        "length": float(cars.length[i]),
+        "width": float(cars.width[i]),
+        "pivot": float(cars.pivot[i]),
+        "coupler": [float(v) for v in cars.coupler[i]],
+        "couplers": list(cars.coupler_kind[i]),
+        "represents": int(cars.represents[i]),
+    }
+
+
+def _track(run: Run) -> dict[str, Any]:
+    line = run.line
+    low, high = run.pose[..., :2].min(axis=(0, 1)), run.pose[..., :2].max(axis=(0, 1))
+    if line.straight:
+        level = float(line.y[0]) if len(line.y) else 0.0
+        x = [float(low[0]) - 300.0, float(high[0]) + 400.0]
+        y = [level, level]
+    else:
+        # Finer than it was recorded, so that curves look like curves.
+        s = np.linspace(line.s[0], line.s[-1], min(4000, 4 * len(line.s)))
+        x, y = (_smooth(s, line.s, p).round(3).tolist() for p in (line.x, line.y))
+    breaks = [
+        {"x": float(b[1]), "y": float(b[2]), "heading": float(b[3]), "time": float(b[4])}
+        for b in line.breaks
+    ]
+    return {"x": x, "y": y, "breaks": breaks}
+
+
+def _smooth(s: NDArray[Any], knots: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+    """Cubic interpolation with slopes from the neighbours."""
+    slope = np.gradient(values, knots)
+    k = np.clip(np.searchsorted(knots, s) - 1, 0, len(knots) - 2)
+    h = knots[k + 1] - knots[k]
+    u = (s - knots[k]) / h
+    return np.asarray(
+        (1 + 2 * u) * (1 - u) ** 2 * values[k]
+        + u * (1 - u) ** 2 * h * slope[k]
+        + u**2 * (3 - 2 * u) * values[k + 1]
+        - (u**2) * (1 - u) * h * slope[k + 1]
+    )
+
+
+def site(run: Run) -> list[float]:
+    """Window around the derailed cars at the end and the breaks (the train, if none derailed)."""
+    off = run.derailed[-1] & run.cars.real
+    scene = run.scene(float(run.time[-1]))
+    corners = scene.corners()
+    chosen = corners[off] if off.any() else corners[run.cars.real]
+    points = [chosen.reshape(-1, 2)]
+    if off.any():
+        low, high = points[0].min(axis=0), points[0].max(axis=0)
+        near = run.line.breaks[:, 1:3]
+        near = near[((near > low - 120.0) & (near < high + 120.0)).all(axis=1)]
+        points.append(near)
+        behind = int(np.flatnonzero(off)[-1]) + 1
+        if behind < run.n and run.cars.represents[behind] == 1:
+            points.append(corners[behind][:2])
+    flat = np.concatenate(points)
+    low, high = flat.min(axis=0) - 9.0, flat.max(axis=0) + 9.0
+    return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
+
+
+def _off(run: Run) -> list[list[float | None]]:
+    """Time at which each truck left the rails: that of the event, or of the first state."""
+    times: list[list[float | None]] = [[None, None] for _ in range(run.n)]
+    for e in run.events:
+        if e.kind == "truck_derailed" and e.cars and e.cars[0] <= run.n and e.end:
+            pair = times[e.cars[0] - 1]
+            k = 0 if e.end == "front" else 1
+            if pair[k] is None:
+                pair[k] = round(e.time, 6)
+    for i, k in zip(*np.nonzero(~run.truck_on[-1])):
+        if times[i][k] is None:
+            first = int(np.flatnonzero(~run.truck_on[:, i, k])[0])
+            times[i][k] = float(run.time[first])
+    return times
+
+
+def _parted(run: Run) -> list[float | None]:
+    """Time at which each coupling parted."""
+    times: list[float | None] = [None] * max(run.n - 1, 0)
+    for e in run.events:
+        if e.kind == "coupler_parted" and e.cars and min(e.cars) < run.n:
+            times[min(e.cars) - 1] = round(e.time, 6)
+    for i in np.flatnonzero(~run.coupled[-1]):
+        if times[i] is None:
+            times[i] = float(run.time[np.flatnonzero(~run.coupled[:, i])[0]])
+    return times
+
+
+def _car_events(run: Run) -> list[list[dict[str, Any]]]:
+    """What happened to each car, in order."""
+    rows: list[list[dict[str, Any]]] = [[] for _ in range(run.n)]
+
+    def add(car: int, time: float, kind: str, text: str) -> None:
+        if 1 <= car <= run.n:
+            rows[car - 1].append({"time": round(time, 6), "kind": kind, "text": _capital(text)})
+
+    for e in run.events:
+        if e.cars and e.kind in (
+            "truck_derailed",
+            "coupler_parted",
+            "car_at_rest",
+            "brake_signal_reached",
+        ):
+            for car in e.cars[:2]:
+                add(car, e.time, e.kind, words.event(e))
+    for c in run.contacts:
+        for car in (c.car_a, c.car_b):
+            add(car, c.peak_time, "collision", words.collision(c))
+    for row in rows:
+        row.sort(key=lambda r: r["time"])
+    return rows
+
+
+def _energy(run: Run) -> dict[str, Any] | None:
+    if not run.energy or float(run.energy["initial"][0]) <= 0.0:
+        return None
+    keep = _some(len(run.energy_time), ENERGY_ROWS)
+    ledger = {name: values[keep] for name, values in run.energy.items()}
+    parts = [("motion", ledger["kinetic"])]
+    parts += [(label, np.maximum(-ledger[name], 0.0)) for name, label in ENERGY_PARTS]
+    rest = ledger["initial"] + ledger["work_external"] - sum(values for _, values in parts)
+    parts.append(("draft gear and couplers", np.maximum(rest, 0.0)))
+    return {
+        "initial": float(ledger["initial"][0]),
+        "time": run.energy_time[keep].round(4).tolist(),
+        "parts": [
+            {"label": label, "values": np.round(values).tolist()} for label, values in parts
+        ],
+    }
