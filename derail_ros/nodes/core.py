@@ -328,8 +328,8 @@ class SimulatorCore:
             self.output.log(Level.WARN, f"{command} refused: {message}")
         return Answer(success, message, context.stamp(time), self.step, self.run_id, value)
 
-    def prepare(self, name: str, text: str, speed_kmh: float = math.nan) -> Prepared:
-        """Read a scenario and make it ready; may be called from another thread.
+    def read(self, name: str, text: str) -> Any:
+        """Read a scenario by its name or from its text.
 
         Raises
         ------
@@ -338,8 +338,6 @@ class SimulatorCore:
         """
         if bool(name) == bool(text):
             raise ValueError("give either scenario_name or scenario_yaml")
-        if math.isinf(speed_kmh) or speed_kmh < 0.0:
-            raise ValueError("speed_kmh: must be a finite number above 0 (0 or NaN: as it is)")
         if len(text.encode()) > MAX_YAML:
             raise ValueError("scenario_yaml: over 256 KB")
         dirs = self.settings.scenario_dirs
@@ -347,8 +345,24 @@ class SimulatorCore:
             scenario = (
                 loads_scenario(text, dirs=dirs) if text else load_scenario_by_name(name, dirs)
             )
-            if scenario.n_cars > MAX_CARS:
-                raise ValueError(f"train: {scenario.n_cars} cars, at most {MAX_CARS} are allowed")
+        except ScenarioError as error:
+            raise ValueError(str(error)) from error
+        if scenario.n_cars > MAX_CARS:
+            raise ValueError(f"train: {scenario.n_cars} cars, at most {MAX_CARS} are allowed")
+        return scenario
+
+    def prepare(self, name: str, text: str, speed_kmh: float = math.nan) -> Prepared:
+        """Read a scenario and make it ready; may be called from another thread.
+
+        Raises
+        ------
+        ValueError
+            With the reason why it is refused.
+        """
+        scenario = self.read(name, text)
+        if math.isinf(speed_kmh) or speed_kmh < 0.0:
+            raise ValueError("speed_kmh: must be a finite number above 0 (0 or NaN: as it is)")
+        try:
             return prepare(scenario, speed_kmh)
         except (ScenarioError, DerailError) as error:
             raise ValueError(str(error)) from error

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any
 
@@ -44,6 +45,19 @@ class Stop:
             self.interrupts = False
 
 
+class StartError(Exception):
+    """A node cannot start, for a reason that the user can mend."""
+
+
+@contextlib.contextmanager
+def starting() -> Iterator[None]:
+    """What goes wrong in here is told in a line instead of a traceback."""
+    try:
+        yield
+    except (ValueError, RuntimeError, OSError) as error:
+        raise StartError(str(error)) from error
+
+
 class Interrupted(BaseException):
     """A signal came during work that may be broken off."""
 
@@ -51,10 +65,7 @@ class Interrupted(BaseException):
 def run_node(
     run: Callable[[Stop, Sequence[str]], int], argv: Sequence[str] | None, usage: Callable[[], str]
 ) -> int:
-    """Run a node's main function; returns the exit code of the process.
-
-    Errors that the user can mend are printed as one line.
-    """
+    """Run a node's main function; returns the exit code of the process."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
         print(usage())
@@ -64,7 +75,7 @@ def run_node(
         return run(stop, arguments)
     except Interrupted:
         return 0
-    except (ValueError, RuntimeError, OSError) as error:
+    except StartError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     finally:

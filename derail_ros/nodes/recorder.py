@@ -8,9 +8,9 @@ from typing import Any
 
 import derail_ros
 from derail_ros.nodes import parameters as table
-from derail_ros.nodes.process import Stop, run_node
+from derail_ros.nodes.process import Stop, run_node, starting
 from derail_ros.recording.listener import Listener
-from msg_adapters.topics import TOPICS, Topic, rclpy_class, rclpy_qos
+from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
 
 ROUND = 0.1
 """Wall time after which the loop looks around even if nothing came, s."""
@@ -107,9 +107,11 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    executor = SingleThreadedExecutor()
-    node = make_node_class()()
+    with starting():
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        check_interfaces()
+        executor = SingleThreadedExecutor()
+        node = make_node_class()()
     executor.add_node(node)
     try:
         while not stop.asked:

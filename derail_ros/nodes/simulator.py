@@ -18,8 +18,8 @@ from typing import Any
 import derail_ros
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
-from derail_ros.nodes.process import Stop, run_node
-from derail_ros.nodes.session import Prepared
+from derail_ros.nodes.process import Stop, run_node, starting
+from derail_ros.nodes.session import Prepared, prepare
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.topics import (
     STATE_TOPICS,
@@ -146,8 +146,13 @@ class NodeOutput:
 
     def log(self, level: Level, text: str) -> None:
         """Tell the user."""
-        logger = self.node.get_logger()
-        {Level.OK: logger.info, Level.WARN: logger.warning, Level.ERROR: logger.error}[level](text)
+        # One call a level: rclpy ties a level to the place of the call.
+        if level == Level.OK:
+            self.node.get_logger().info(text)
+        elif level == Level.WARN:
+            self.node.get_logger().warning(text)
+        else:
+            self.node.get_logger().error(text)
 
 
 def _acknowledged(publisher: Any, seconds: float) -> bool:
@@ -155,6 +160,46 @@ def _acknowledged(publisher: Any, seconds: float) -> bool:
     from rclpy.duration import Duration
 
     return bool(publisher.wait_for_all_acked(Duration(nanoseconds=int(seconds * NANOSECONDS))))
+
+
+class LaterService:
+    """A service whose answer may be given after its callback has returned.
+
+    A coroutine would do the same in ``rclpy``, but its executor polls coroutines, and while one
+    waits it serves nothing else.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        kind: Any,
+        name: str,
+        callback: Callable[[Any, Any, Callable[[], None]], None],
+    ) -> None:
+        self._callback = callback
+        self._service = node.create_service(kind, name, self._call)
+        self._send = self._service.send_response
+        self._service.send_response = self._returned
+        self._headers: dict[int, Any] = {}
+        self._finished: set[int] = set()
+
+    def _call(self, request: Any, response: Any) -> Any:
+        def finish() -> None:
+            header = self._headers.pop(id(response), None)
+            if header is None:
+                self._finished.add(id(response))
+            else:
+                self._send(response, header)
+
+        self._callback(request, response, finish)
+        return response
+
+    def _returned(self, response: Any, header: Any) -> None:
+        if id(response) in self._finished:
+            self._finished.discard(id(response))
+            self._send(response, header)
+        else:
+            self._headers[id(response)] = header
 
 
 class ClockGuard:
@@ -203,7 +248,7 @@ def make_node_class() -> Any:
     """The node's class; made when it is needed, so that this module imports without ROS."""
     import rclpy.node
     from rcl_interfaces.msg import SetParametersResult
-    from rclpy.task import Future
+    from rclpy.logging import get_logging_directory
 
     from derail_msgs.srv import (
         GetEvents,
@@ -227,23 +272,33 @@ def make_node_class() -> Any:
             self.guard = ClockGuard(self, self.output, bool(values["publish_clock"]))
             self._wake = wake
             self._pool = concurrent.futures.ThreadPoolExecutor(1, "scenario")
-            self._loads: list[tuple[concurrent.futures.Future[Any], Any]] = []
+            self._loads: list[tuple[concurrent.futures.Future[Prepared], Any]] = []
             self._prepared: Prepared | None = None
             self._events: list[Any] = []
             self._events_of = ""
             self._first: Callable[[], None] | None = None
-            self._first_at = time.monotonic() + LISTENERS_WAIT
+            self._first_at = math.inf
             self._listeners = int(values["await_listeners"])
+            self._start_paused = bool(values["start_paused"])
+            self._scenario = None
             if values["scenario"]:
-                self._prepare_first(str(values["scenario"]), bool(values["start_paused"]))
+                # A mistake in here is told before the kernels are compiled.
+                self._scenario = self.core.read(str(values["scenario"]), "")
+
+        def serve(self) -> None:
+            """Offer the services and get the first scenario ready; the kernels are compiled."""
+            if self._scenario is not None:
+                self._prepare_first(self._scenario)
             self.add_on_set_parameters_callback(self._check_parameters)
             self.add_post_set_parameters_callback(self._apply_parameters)
+            self._later = [
+                LaterService(self, LoadConsist, "~/load_consist", self._load_consist),
+                LaterService(self, StepSimulation, "~/step_simulation", self._step),
+            ]
             for name, kind, callback in (
-                ("load_consist", LoadConsist, self._load_consist),
                 ("inject_rail_break", InjectRailBreak, self._inject_rail_break),
                 ("trigger_emergency_brake", TriggerEmergencyBrake, self._trigger_brake),
                 ("set_simulation_state", SetSimulationState, self._set_state),
-                ("step_simulation", StepSimulation, self._step),
                 ("reset_simulation", ResetSimulation, self._reset),
                 ("get_events", GetEvents, self._get_events),
             ):
@@ -263,22 +318,24 @@ def make_node_class() -> Any:
                 record_storage=values["record_storage"],
                 namespace=self.get_namespace(),
                 name=self.get_name(),
+                state_dir=str(get_logging_directory()),
             )
 
-        def _prepare_first(self, name: str, start_paused: bool) -> None:
-            prepared = self.core.prepare(name, "")
-            request = {"scenario_name": name, "start_paused": start_paused}
+        def _prepare_first(self, scenario: Any) -> None:
+            prepared = prepare(scenario)
+            request = {"scenario_name": scenario.name, "start_paused": self._start_paused}
 
             def load() -> None:
                 if self.core.session is None:
                     self.core.load(
                         prepared,
                         request,
-                        start_paused=start_paused,
+                        start_paused=self._start_paused,
                         caller="parameter scenario",
                     )
 
             self._first = load
+            self._first_at = time.monotonic() + LISTENERS_WAIT
 
         def _begin_first(self) -> None:
             """Load the first scenario when those who want to hear it do."""
@@ -296,9 +353,12 @@ def make_node_class() -> Any:
             """Do what is due; returns the wall time until which nothing is."""
             self.guard.look()
             self._begin_first()
-            for load in [load for load in self._loads if load[0].done()]:
-                self._loads.remove(load)
-                load[1].set_result(load[0])
+            while self._loads and self._loads[0][0].done():
+                work, begin = self._loads.pop(0)
+                error = work.exception()
+                if error is not None and not isinstance(error, ValueError):
+                    raise error
+                begin(work.result() if error is None else error)
             due = self.core.work()
             if self._first is not None:
                 due = min(due, time.monotonic() + 0.02)
@@ -350,30 +410,27 @@ def make_node_class() -> Any:
             response.step = answer.step
             return response
 
-        async def _load_consist(self, request: Any, response: Any) -> Any:
+        def _load_consist(self, request: Any, response: Any, finish: Callable[[], None]) -> None:
             asked = {
                 "scenario_name": request.scenario_name,
                 "scenario_yaml": request.scenario_yaml,
                 "speed_kmh": request.speed_kmh,
                 "start_paused": request.start_paused,
             }
+
+            def begin(prepared: Prepared | ValueError) -> None:
+                answer = self.core.load(
+                    prepared, asked, start_paused=request.start_paused, caller=request.caller
+                )
+                response.run_id = answer.run_id if answer.success else ""
+                self._fill(response, answer)
+                finish()
+
             work = self._pool.submit(
                 self.core.prepare, request.scenario_name, request.scenario_yaml, request.speed_kmh
             )
-            ready = Future()
-            self._loads.append((work, ready))
+            self._loads.append((work, begin))
             work.add_done_callback(lambda _: self._wake())
-            done = await ready
-            prepared: Prepared | ValueError
-            try:
-                prepared = done.result()
-            except ValueError as error:
-                prepared = error
-            answer = self.core.load(
-                prepared, asked, start_paused=request.start_paused, caller=request.caller
-            )
-            response.run_id = answer.run_id if answer.success else ""
-            return self._fill(response, answer)
 
         def _inject_rail_break(self, request: Any, response: Any) -> Any:
             answer = self.core.inject_rail_break(
@@ -393,10 +450,12 @@ def make_node_class() -> Any:
             response.state = int(self.core.state)
             return self._fill(response, answer)
 
-        async def _step(self, request: Any, response: Any) -> Any:
-            done = Future()
-            self.core.step_simulation(request.ticks, done.set_result, request.caller)
-            return self._fill(response, await done)
+        def _step(self, request: Any, response: Any, finish: Callable[[], None]) -> None:
+            def done(answer: Answer) -> None:
+                self._fill(response, answer)
+                finish()
+
+            self.core.step_simulation(request.ticks, done, request.caller)
 
         def _reset(self, request: Any, response: Any) -> Any:
             answer = self.core.reset(request.mode, request.caller)
@@ -434,22 +493,23 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
 
         compile_kernels()
 
-    began = time.monotonic()
-    print("derail_ros: loading the kernels (compiled once a version)", file=sys.stderr, flush=True)
-    stop.during(warm_up)
-    print(f"derail_ros: ready after {time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
-
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    check_interfaces()
-    executor = SingleThreadedExecutor()
-    node = make_node_class()(executor.wake)
+    with starting():
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        check_interfaces()
+        executor = SingleThreadedExecutor()
+        node = make_node_class()(executor.wake)
     executor.add_node(node)
     code = 0
     try:
+        node.get_logger().info("loading the kernels (they are compiled once a version)")
+        stop.during(warm_up)
+        with starting():
+            node.serve()
+        node.get_logger().info("ready")
         while not stop.asked:
             due = node.work()
             core = node.core

@@ -1,0 +1,226 @@
+"""A ROS graph for a test: a domain of its own, processes, a listening node. No fixed sleeps."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from derail_msgs import srv
+from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
+
+LIMIT = 60.0
+"""Wall time after which a test gives up waiting, s: generous, for machines that are busy."""
+
+SERVICES = {
+    "load_consist": srv.LoadConsist,
+    "inject_rail_break": srv.InjectRailBreak,
+    "trigger_emergency_brake": srv.TriggerEmergencyBrake,
+    "set_simulation_state": srv.SetSimulationState,
+    "step_simulation": srv.StepSimulation,
+    "reset_simulation": srv.ResetSimulation,
+    "get_events": srv.GetEvents,
+}
+STOPPED, PLAYING, PAUSED, QUITTING = range(4)
+
+_domains = itertools.count(os.getpid() * 13)
+
+
+def ros_value(value: Any) -> str:
+    """A parameter's value as the command line of a node wants it."""
+    if value == "":
+        return '""'
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class Process:
+    """A node as a process of its own."""
+
+    def __init__(self, module: str, env: dict[str, str], log: Path, *arguments: str) -> None:
+        self.log = log
+        with log.open("wb") as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env=env,
+            )
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def wait(self, seconds: float = LIMIT) -> int:
+        return self.process.wait(seconds)
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Tell the process to end; gives its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        try:
+            return self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(f"the process did not end:\n{self.output}") from None
+
+
+class Graph:
+    """A domain of its own with processes and one node that listens and asks."""
+
+    def __init__(self, folder: Path, domain: int | None = None) -> None:
+        self.folder = folder
+        # Domains up to 101 keep clear of the ports that the system gives out.
+        self.domain = 1 + next(_domains) % 101 if domain is None else domain
+        self.env = os.environ | {
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_PYTHON_CHECK_FIELDS": "1",
+            "ROS_LOG_DIR": str(folder / "ros_log"),
+            "PYTHONUNBUFFERED": "1",
+            "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
+        }
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        self.processes: list[Process] = []
+        self.context = rclpy.Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=self.domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node("listener", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard: dict[str, list[Any]] = {}
+        self._clients: dict[tuple[str, str], Any] = {}
+
+    # --- processes ---------------------------------------------------------------------------
+
+    def start(self, module: str, *arguments: str, **parameters: Any) -> Process:
+        """Start a node as a process."""
+        given = ["--ros-args", *arguments]
+        for name, value in parameters.items():
+            given += ["-p", f"{name}:={ros_value(value)}"]
+        log = self.folder / f"{module}-{len(self.processes)}.log"
+        process = Process(f"derail_ros.nodes.{module}", self.env, log, *given)
+        self.processes.append(process)
+        return process
+
+    def simulator(self, *arguments: str, ready: bool = True, **parameters: Any) -> Process:
+        """Start a simulator, and wait until it serves."""
+        process = self.start("simulator", *arguments, **parameters)
+        if ready:
+            self.until(
+                lambda: self.client("get_events").service_is_ready(),
+                "the simulator serves",
+                process,
+            )
+        return process
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            with contextlib.suppress(AssertionError):
+                process.end()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    # --- listening ---------------------------------------------------------------------------
+
+    def spin(self, seconds: float = 0.05) -> None:
+        self.executor.spin_once(timeout_sec=seconds)
+
+    def until(self, done: Callable[[], Any], what: str, process: Process | None = None) -> Any:
+        """Spin until something is true."""
+        end = time.monotonic() + LIMIT
+        while True:
+            result = done()
+            if result:
+                return result
+            for each in self.processes:
+                gone = each.process.poll()
+                if gone if each is not process else gone is not None:
+                    raise AssertionError(f"a process ended before {what}:\n{each.output}")
+            if time.monotonic() > end:
+                raise AssertionError(f"waited in vain: {what}")
+            self.spin()
+
+    def listen(self, *names: str, namespace: str = "") -> dict[str, list[Any]]:
+        """Subscribe to topics of the table and wait until each has a publisher."""
+        for name in names:
+            topic = TOPICS[name]
+            messages = self.heard.setdefault(name, [])
+            full = name if name.startswith("/") else f"{namespace}/{name}".lstrip("/")
+            full = full if namespace == "" or full.startswith("/") else f"/{full}"
+            self.node.create_subscription(
+                rclpy_class(topic.msgtype),
+                full,
+                messages.append,
+                rclpy_qos(topic, max(1000, topic.depth)),
+            )
+            self.until(lambda f=full: self.node.count_publishers(f), f"{full} has a publisher")
+        return self.heard
+
+    # --- asking ------------------------------------------------------------------------------
+
+    def client(self, service: str, node: str = "/simulator") -> Any:
+        key = (service, node)
+        if key not in self._clients:
+            self._clients[key] = self.node.create_client(SERVICES[service], f"{node}/{service}")
+        return self._clients[key]
+
+    def ask(self, service: str, node: str = "/simulator", **fields: Any) -> Any:
+        """Call a service and wait for the answer."""
+        client = self.client(service, node)
+        self.until(client.service_is_ready, f"{service} is there")
+        future = client.call_async(SERVICES[service].Request(**fields))
+        self.until(future.done, f"{service} answers")
+        return future.result()
+
+    def _parameters(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, f"/simulator/{name}")
+        self.until(client.service_is_ready, f"{name} is there")
+        future = client.call_async(request)
+        self.until(future.done, f"{name} answers")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set_parameter(self, name: str, value: Any) -> Any:
+        message = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        return self._parameters(SetParameters, "set_parameters", request).results[0]
+
+    def get_parameter(self, name: str) -> Any:
+        from rclpy.parameter import parameter_value_to_python
+
+        request = GetParameters.Request(names=[name])
+        return parameter_value_to_python(
+            self._parameters(GetParameters, "get_parameters", request).values[0]
+        )
+
+    def describe_parameter(self, name: str) -> Any:
+        request = DescribeParameters.Request(names=[name])
+        return self._parameters(DescribeParameters, "describe_parameters", request).descriptors[0]
+
+
+@contextlib.contextmanager
+def graph(folder: Path, domain: int | None = None) -> Iterator[Graph]:
+    """A graph for a while; with a domain given, another listener there."""
+    made = Graph(folder, domain)
+    try:
+        yield made
+    finally:
+        made.close()
