@@ -251,6 +251,7 @@ class Run:
     Attributes
     ----------
     path, storage, size : where it was read from, "mcap" or "sqlite3", bytes
+    prefix : namespace of the topics
     warnings : what is missing or wrong
     run_id, run_ids : this run and all of the recording
     name, title, scenario, scenario_hash, software : where the run comes from
@@ -273,6 +274,7 @@ class Run:
     path: Path
     storage: str
     size: int
+    prefix: str
     warnings: tuple[str, ...]
     run_id: str
     run_ids: tuple[str, ...]
@@ -708,6 +710,7 @@ class _Reader:
             path=bag.path,
             storage=bag.storage,
             size=bag.size,
+            prefix=self.prefix,
             warnings=(),
             run_id=run_id,
             run_ids=tuple(run_ids),

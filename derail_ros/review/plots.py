@@ -493,8 +493,9 @@ def _side_labels(
     """Labels at the right edge, pushed apart so that none covers another."""
     order = sorted(range(len(places)), key=lambda k: places[k][0])
     at = _apart([places[k][0] for k in order], apart)
-    shift = max(0.0, 0.45 * apart - at[0]) - max(0.0, at[-1] - top + 0.4 * apart)
-    at = [level + shift for level in at]
+    at[-1] = min(at[-1], top - 0.4 * apart)
+    for k in range(len(at) - 2, -1, -1):
+        at[k] = min(at[k], at[k + 1] - apart)
     for k, level in zip(order, at):
         real, text, fill, hatch = places[k]
         axes.annotate(
@@ -575,9 +576,13 @@ def _space_time(run: Run) -> Figure:
                 mew=0.6,
                 zorder=6,
             )
-        for c, where in sorted(zip(hard, place), key=lambda p: -p[0].peak_force)[:6]:
-            if c.peak_force < RUPTURE:
+        span = run.time[-1] - run.time[0]
+        labelled: list[float] = []
+        for c, where in sorted(zip(hard, place), key=lambda p: -p[0].peak_force):
+            near = any(abs(c.peak_time - t) < 0.07 * span for t in labelled)
+            if c.peak_force < RUPTURE or near or len(labelled) == 6:
                 continue
+            labelled.append(c.peak_time)
             axes.annotate(
                 f"{c.peak_force * 1e-6:.1f} MN",
                 xy=(c.peak_time, where),

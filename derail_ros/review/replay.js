@@ -159,8 +159,9 @@
   let followed = -1, view = "site", selected = 0;
 
   function fitWindow(w) {
-    const zoom = Math.min(width / (w[1] - w[0]), height / (w[3] - w[2]));
-    Object.assign(camera, {x: (w[0] + w[1]) / 2, y: (w[2] + w[3]) / 2, zoom: Math.min(zoom, 60)});
+    const top = 46, bottom = 18;  // room for the clock and for the label of the break
+    const zoom = Math.min(60, width / (w[1] - w[0]), (height - top - bottom) / (w[3] - w[2]));
+    Object.assign(camera, {x: (w[0] + w[1]) / 2, y: (w[2] + w[3]) / 2 + (top - bottom) / 2 / zoom, zoom});
   }
 
   function trainWindow() {
@@ -365,11 +366,12 @@
       const age = now - Math.max(c.peakTime, Math.min(c.end ?? c.peakTime, c.peakTime + 0.5));
       let strength = reduced.matches ? (age < FADE ? 1 : 0) : Math.min(1, Math.max(0, 1 - age / FADE));
       if (mode === "all") strength = Math.max(strength, 0.85);
-      if (strength > 0) marks.push([c, strength]);
+      if (strength > 0) marks.push([c, strength, age < FADE]);
     }
     marks.sort((p, q) => p[0].peak - q[0].peak);
-    for (const [c, strength] of marks) {
-      const r = 6 + 11 * Math.sqrt(Math.min(1, c.peak / 25e6));
+    const small = camera.zoom < 1.5 ? 0.6 : 1;
+    for (const [c, strength, recent] of marks) {
+      const r = small * (recent ? 1 : 0.6) * (6 + 11 * Math.sqrt(Math.min(1, c.peak / 25e6)));
       pen.globalAlpha = strength;
       star(px(c.x), py(c.y), r);
       pen.globalAlpha = 1;
@@ -377,7 +379,7 @@
     const taken = [];
     for (const [c, strength] of marks.reverse()) {
       if (c.peak < 2e6 || strength < 0.3 || taken.length === 6) continue;
-      const text = force(c.peak), x = px(c.x), y = py(c.y) - 24, box = [x - 34, y - 10, x + 34, y + 10];
+      const text = force(c.peak), x = Math.min(width - 36, Math.max(36, px(c.x))), y = py(c.y) - 24, box = [x - 34, y - 10, x + 34, y + 10];
       if (taken.some((t) => t[0] < box[2] && t[2] > box[0] && t[1] < box[3] && t[3] > box[1])) continue;
       taken.push(box);
       pen.globalAlpha = Math.min(1, 0.3 + strength); label(x, y, text, palette.mark, 14); pen.globalAlpha = 1;
@@ -402,7 +404,7 @@
     pen.fillStyle = palette.ink; pen.fillRect(x0, y, x1 - x0, 4);
     pen.fillStyle = palette.bg; pen.fillRect((x0 + x1) / 2, y + 1, (x1 - x0) / 2 - 1, 2);
     label((x0 + x1) / 2, y - 11, `${bar >= 1 ? bar : bar.toFixed(2)} m`, palette.ink, 12, "600");
-    label((x0 + x1) / 2, y + 17, "direction of travel ⟶", palette.subtle, 11, "400");
+    if (width > 560) label(x1 - 60, y + 17, "direction of travel ⟶", palette.subtle, 11, "400");
   }
 
   function drawScene() {

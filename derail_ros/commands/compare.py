@@ -1,0 +1,36 @@
+"""``derail compare``: two recordings side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from derail_ros.commands import common
+from derail_ros.commands.common import OK
+from derail_ros.commands.review import bag_errors, read
+
+
+def run(first: str, second: str, output: Path | None, as_json: bool) -> int:
+    """Compare two recordings; the exit code."""
+    from derail_ros.review import comparison
+
+    a, b = read(first), read(second)
+    if output is not None:
+        output = common.output_directory(output)
+    facts = comparison.compare(a, b)
+    text = comparison.text(facts)
+    if output is not None:
+        from derail_ros.review import figures
+
+        with bag_errors():
+            common.write_json(output / "comparison.json", facts)
+            (output / "comparison.txt").write_text(
+                comparison.text(facts, most=1000), encoding="utf-8"
+            )
+            figures.save(comparison.scenes(a, b), output / "scenes.png")
+    if as_json:
+        common.print_json(facts)
+        return OK
+    print(text, end="")
+    if output is not None:
+        print(f"\nin {output}: comparison.txt, comparison.json, scenes.png")
+    return OK
