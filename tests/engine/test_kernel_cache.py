@@ -1,0 +1,152 @@
+"""Compiled kernels never outlive the source they came from."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import derail_ros
+from derail_ros.engine import jit
+
+PACKAGE = Path(derail_ros.__file__).parent
+ENGINE = PACKAGE / "engine"
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """A copy of the package's sources, which may be edited."""
+    target = tmp_path / "tree"
+    shutil.copytree(
+        PACKAGE, target / "derail_ros", ignore=shutil.ignore_patterns("__pycache__", "*.pyc")
+    )
+    return target
+
+
+def python(tree, code, cache=None, timeout=60):
+    """Run code on the copy, in another process; its output."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    if cache is not None:
+        environment["DERAIL_CACHE_DIR"] = str(cache)
+    prefix = f"import sys; sys.path.insert(0, {str(tree)!r})\n"
+    done = subprocess.run(
+        [sys.executable, "-c", prefix + code],
+        env=environment, capture_output=True, text=True, timeout=timeout, cwd=tree,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+HASH = """
+import derail_ros.engine.jit as jit
+print(jit.source_hash(), jit.CACHE_DIR, jit.__file__)
+"""
+
+
+def edit(tree, name, old, new):
+    """Change a source file of the copy."""
+    path = tree / "derail_ros" / "engine" / name
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def test_the_hash_follows_every_source_file(tree, tmp_path):
+    cache = tmp_path / "cache"
+    first, folder, file = python(tree, HASH, cache)
+    assert Path(file).is_relative_to(tree)
+    # where the sources lie does not matter, what they say does
+    assert first == jit.source_hash()
+    assert Path(folder).is_relative_to(cache)
+    assert first in folder
+    seen = {first}
+    files = sorted((tree / "derail_ros" / "engine").rglob("*.py"))
+    assert len(files) > 20
+    # one process looks at all the edits: each changes the hash, and undone gives it back
+    code = f"""
+from pathlib import Path
+import derail_ros.engine.jit as jit
+for path in {[str(f) for f in files]!r}:
+    path = Path(path)
+    text = path.read_bytes()
+    path.write_bytes(text + b"# edited\\n")
+    print(jit.source_hash())
+    path.write_bytes(text)
+print(jit.source_hash())
+"""
+    *edited, last = python(tree, code, cache)
+    assert last == first
+    assert len({*edited, first}) == len(files) + 1
+    # a new file, and a renamed one
+    laws = tree / "derail_ros" / "engine" / "laws"
+    (laws / "magnet.py").write_text("")
+    seen.add(python(tree, HASH, cache)[0])
+    (laws / "magnet.py").unlink()
+    (laws / "ground.py").rename(laws / "soil.py")
+    seen.add(python(tree, HASH, cache)[0])
+    assert len(seen) == 3
+
+
+def test_two_versions_have_two_folders(tree, tmp_path):
+    cache = tmp_path / "cache"
+    one = python(tree, HASH, cache)[1]
+    edit(tree, "laws/ground.py", "c_d + c_v * v", "c_d + 2.0 * c_v * v")
+    two = python(tree, HASH, cache)[1]
+    assert one != two
+
+
+def test_an_edited_law_is_used_at_once(tree, tmp_path):
+    # cheap: one law alone, compiled, cached, edited
+    code = """
+from derail_ros.engine.laws.ground import drag
+print(20.0 * drag(20.0, 0.8, 0.7, 0.01, 0.03))
+"""
+    cache = tmp_path / "cache"
+    # `drag` lives in the same file as what it calls; the trap is a caller in another file
+    (tree / "derail_ros" / "engine" / "caller.py").write_text(
+        "from derail_ros.engine.jit import jit\n"
+        "from derail_ros.engine.laws.ground import resistance\n"
+        "@jit\n"
+        "def twice(v):\n"
+        "    return 2.0 * resistance(v, 0.8, 0.7, 0.01, 0.03)\n"
+    )
+    code += "from derail_ros.engine.caller import twice\nprint(twice(20.0))\n"
+    before = [float(x) for x in python(tree, code, cache)]
+    again = [float(x) for x in python(tree, code, cache)]
+    assert before == again == pytest.approx([1.3, 2.6], rel=1e-6)
+    edit(tree, "laws/ground.py", "c_d + c_v * v", "c_d + 2.0 * c_v * v")
+    after = [float(x) for x in python(tree, code, cache)]
+    assert after == pytest.approx([1.9, 3.8], rel=1e-6)
+
+
+RUN = """
+from derail_ros.engine import *
+coupler = CouplerType("F73", "F", 1.524, 1.220, 0.300, 4.88e6)
+car = Car(68e3, 1.165e6, 14.1, 2.6, 6.65, 5.75, coupler, coupler)
+run = Simulation(TrainParams(
+    cars=(car, car),
+    initiation=InitiationParams(speed=10.0),
+    brakes=BrakeParams(triggers=()),
+))
+run.advance_to(0.5)
+print(repr(float(run.sample(0.5).v[0, 0])), run.state_hash())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_an_edited_law_changes_the_run(tree, tmp_path):
+    cache = tmp_path / "cache"
+    first = python(tree, RUN, cache, timeout=900)
+    assert python(tree, RUN, cache, timeout=900) == first
+    edit(tree, "laws/ground.py", "c_d + c_v * v", "c_d + 2.0 * c_v * v")
+    second = python(tree, RUN, cache, timeout=900)
+    # more drag, a slower car
+    assert float(second[0]) < float(first[0]) - 0.1
+    assert second[1] != first[1]
+    # the old source finds its own kernels again
+    edit(tree, "laws/ground.py", "c_d + 2.0 * c_v * v", "c_d + c_v * v")
+    assert python(tree, RUN, cache, timeout=900) == first
