@@ -192,7 +192,16 @@ def validate(params: TrainParams) -> None:
         finite(force.force, f"{at}.force")
         finite(force.start, f"{at}.start", 0.0)
         finite(force.duration, f"{at}.duration", 0.0)
-    for j, s in enumerate(params.track.rail_breaks):
+    track = params.track
+    for name in ("start_coordinate", "start_x", "start_y", "start_heading"):
+        finite(getattr(track, name), f"track.{name}", -1e6, 1e6)
+    for j, segment in enumerate(track.segments):
+        positive(segment.length, f"track.segments.{j}.length")
+        finite(segment.length, f"track.segments.{j}.length", 0.0, 1e6)
+        for name in ("curvature_start", "curvature_end"):
+            # R >= 10 m: nothing on rails turns more sharply
+            finite(getattr(segment, name), f"track.segments.{j}.{name}", -0.1, 0.1)
+    for j, s in enumerate(track.rail_breaks):
         finite(s, f"track.rail_breaks.{j}")
 
 

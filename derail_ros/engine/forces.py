@@ -24,9 +24,11 @@ from derail_ros.engine.laws.brake import (
 from derail_ros.engine.laws.contact import (
     FRONT,
     LEFT,
+    ON_LINE,
     REAR,
     gap_force,
     nearest_wall,
+    on_line,
     outside_mask,
     speed_factor,
 )
@@ -182,9 +184,13 @@ def _corner_contacts(
         if wall == FRONT or wall == REAR:
             nu = 1.0 if wall == FRONT else -1.0
             gap = nu * ju - a_j
+            if flip and on_line(jw, b_j):
+                continue
         elif (wall & (FRONT | REAR)) == 0:
             nw = 1.0 if wall == LEFT else -1.0
             gap = nw * jw - b_j
+            if flip and on_line(ju, a_j):
+                continue
         else:
             if flip:
                 continue
@@ -201,7 +207,7 @@ def _corner_contacts(
             ew = sw * b_j - w0
             iu = c * eu + s * ew
             iw = -s * eu + c * ew
-            if u * iu < a_i * a_i or w * iw < b_i * b_i:
+            if u * iu <= a_i * (a_i + ON_LINE) or w * iw <= b_i * (b_i + ON_LINE):
                 continue
             nu = du / gap
             nw = dw / gap

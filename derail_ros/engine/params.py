@@ -240,7 +240,7 @@ class ContactParams:
         has been below ``end_force`` (N) for ``end_hold`` (s)
     """
 
-    force_max: float = 3.0e6
+    force_max: float = 2.4e6
     half_distance: float = 0.08
     buffer: float = 0.8
     c1: float = 0.025
@@ -300,8 +300,8 @@ class IntegrationParams:
     buffer_fraction: float = 0.2
     max_step: float = 0.05
     min_step: float = 1e-9
-    rest_speed: float = 0.05
-    rest_yaw_rate: float = 0.01
+    rest_speed: float = 0.3
+    rest_yaw_rate: float = 0.05
     rest_hold: float = 0.5
     time_limit: float = 120.0
 

@@ -338,7 +338,7 @@ def note_progress(model: Model, state: State, work: Work) -> None:
         rate = abs(state.v[i, 2])
         if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
             resting = False
-            if speed > 10.0 * par[L.REST_V] or rate > 10.0 * par[L.REST_W]:
+            if speed > 3.0 * par[L.REST_V] or rate > 3.0 * par[L.REST_W]:
                 state.peak[i, L.PK_RESTING] = 0.0
         elif state.peak[i, L.PK_RESTING] == 0.0:
             state.peak[i, L.PK_RESTING] = 1.0
@@ -435,6 +435,8 @@ def step(model: Model, state: State, work: Work) -> int:
     grow = 1.0
     e_before = 0.0
     while True:
+        # feet of the trucks start from the accepted state, whatever a rejected try left
+        state.truck_s[:] = work.truck_s
         if row:
             error = row_step(model, state, work, h)
         else:
@@ -450,6 +452,7 @@ def step(model: Model, state: State, work: Work) -> int:
             h *= min(grow, 0.9)
             wanted = h
             if h < floor:
+                state.truck_s[:] = work.truck_s
                 return STEP_FLOOR if ok else NON_FINITE
             continue
         striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
@@ -463,6 +466,7 @@ def step(model: Model, state: State, work: Work) -> int:
                 h *= 0.25
                 wanted = h
                 if h < floor:
+                    state.truck_s[:] = work.truck_s
                     return SINGULAR
                 continue
             project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
@@ -472,16 +476,31 @@ def step(model: Model, state: State, work: Work) -> int:
         if par[L.LOCATE] != 0.0:
             share = first_crossing(model, state, work, h)
             if share < 1.0:
-                if share * h >= floor:
-                    h *= share
+                # a truck that stands on the break derails within the smallest step
+                located = max(share * h, floor)
+                if located < h:
+                    h = located
                     limit = L.LIMIT_OTHER
                     switch = math.inf
                     continue
         break
 
+    after = switch if t + h >= switch else t + h
+    if not accelerations(
+        model, state, work, after, state.truck_on, state.coupled, work.stage_q, work.stage_v,
+        work.dx, project,
+    ):  # fmt: skip
+        state.truck_s[:] = work.truck_s
+        return SINGULAR
+    for i in range(state.q.shape[0]):
+        for k in range(5):
+            if not math.isfinite(work.dx[i, k] + work.stage_q[i, k] + work.stage_v[i, k]):
+                state.truck_s[:] = work.truck_s
+                return NON_FINITE
+
     # accepted
     clock[L.T_PREV] = t
-    clock[L.T] = switch if t + h >= switch else t + h
+    clock[L.T] = after
     state.q0[:] = state.q
     state.v0[:] = state.v
     state.a0[:] = state.a
@@ -499,21 +518,12 @@ def step(model: Model, state: State, work: Work) -> int:
     state.energy[L.E_STAB_GROSS] += abs(moved)
     cnt[L.STEP] += 1
     cnt[limit] += 1
-
-    if not accelerations(
-        model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v, state.a1,
-        project,
-    ):  # fmt: skip
-        return SINGULAR
-    state.a[:] = state.a1
+    state.a1[:] = work.dx
+    state.a[:] = work.dx
     state.power[:] = work.power
     state.power1[:] = work.power
     state.rail_force[:] = work.lam_t
     state.coupler_force[:] = work.lam_c
-    for i in range(state.q.shape[0]):
-        for k in range(5):
-            if not math.isfinite(state.a[i, k] + state.q[i, k] + state.v[i, k]):
-                return NON_FINITE
     gap, offset = constraint_error(model, state.truck_on, state.coupled, state.q, work.wk)
     clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
     clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)

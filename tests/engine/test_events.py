@@ -446,10 +446,14 @@ def test_the_time_limit():
 def test_coming_to_rest(method):
     params = make_train(3, speed=6.0, derailed=all_trucks(3))
     run = Simulation(with_integration(params, method=method))
+    limits = run.params.integration
     fast = []
     for _ in steps_of(run, 60.0):
         s = run.sample()
-        moving = (np.hypot(*s.v[:, :2].T).max() >= 0.05) or (np.abs(s.v[:, 2]).max() >= 0.01)
+        moving = (
+            np.hypot(*s.v[:, :2].T).max() >= limits.rest_speed
+            or np.abs(s.v[:, 2]).max() >= limits.rest_yaw_rate
+        )
         fast.append((run.time, moving))
     outcome = run.outcome()
     assert outcome.status == "at rest"

@@ -191,7 +191,7 @@ FACTOR = (0.025, 0.1, 1.0)
 
 def test_contact_defaults():
     c = ContactParams()
-    assert (c.force_max, c.half_distance, c.buffer) == GAP
+    assert (c.force_max, c.half_distance, c.buffer) == (2.4e6, *GAP[1:])
     assert (c.c1, c.c2, c.c3) == FACTOR
     assert (c.begin_force, c.end_force, c.end_hold) == (10e3, 5e3, 0.020)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from derail_ros.engine import METHODS, Simulation
+from derail_ros.engine import METHODS, ContactParams, Simulation
 from derail_ros.scenario import load_scenario
 from tests.engine.support import make_car, make_train, start, steps_of, tight, with_integration
 
@@ -39,7 +39,8 @@ def one_dimension(kmh):
 
     def force(x, closing):
         factor = max(0.0, 1.0 + 0.1 * closing + 0.025 * closing * abs(closing))
-        return 2.0 * 3.0e6 * 2.0 ** -((max(x, 0.0) / 0.08) ** 2) * factor * (x < 0.8)
+        top = 2.0 * ContactParams().force_max
+        return top * 2.0 ** -((max(x, 0.0) / 0.08) ** 2) * factor * (x < 0.8)
 
     def rhs(t, y):
         return [-y[1], -force(*y) / reduced]

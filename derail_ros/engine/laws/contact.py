@@ -27,6 +27,9 @@ from derail_ros.engine.jit import jit
 
 FRONT, REAR, LEFT, RIGHT = 1, 2, 4, 8
 
+ON_LINE = 1e-9
+"""A point this close to the line of a wall lies on it, m."""
+
 
 @jit
 def gap_force(x: float, f_max: float, d_c: float, d_b: float, law: int) -> float:
@@ -51,19 +54,29 @@ def speed_factor(v: float, c1: float, c2: float, c3: float) -> float:
 def outside_mask(u: float, w: float, a: float, b: float) -> int:
     """Walls of a rectangle (half length a, half width b) that the point (u, w) is outside of.
 
-    A point on a wall's line is outside of it: two aligned bodies then meet corner to corner, the
-    limit of the neighbouring positions, and are not pushed by four corners instead of two.
+    A point on a wall's line is not outside of it.
     """
     mask = 0
-    if u >= a:
+    if u > a + ON_LINE:
         mask = FRONT
-    elif u <= -a:
+    elif u < -a - ON_LINE:
         mask = REAR
-    if w >= b:
+    if w > b + ON_LINE:
         mask |= LEFT
-    elif w <= -b:
+    elif w < -b - ON_LINE:
         mask |= RIGHT
     return mask
+
+
+@jit
+def on_line(x: float, half: float) -> bool:
+    """A corner at the coordinate ``x`` along a wall lies at the wall's very end.
+
+    Cars on straight track are exactly aligned: all four corners of a head-on impact lie on the
+    ends of the walls they meet, where a shift of the last bit would leave two of them. Of such
+    contacts only those of the pair's first car count: the force of the neighbouring positions.
+    """
+    return abs(abs(x) - half) <= ON_LINE
 
 
 @jit
