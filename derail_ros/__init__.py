@@ -1,3 +1,19 @@
 """derail_ros: a simulator of train derailments that lives in ROS 2."""
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from derail_ros.api import simulate as simulate
+    from derail_ros.api import study as study
+
 __version__ = "0.1.0"
+__all__ = ["__version__", "simulate", "study"]
+
+
+def __getattr__(name: str) -> Any:
+    # imported when it is first used: the command line's help waits for neither numpy nor numba
+    if name in ("simulate", "study"):
+        from derail_ros import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

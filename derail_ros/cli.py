@@ -13,9 +13,10 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 app = typer.Typer(
     name="derail",
@@ -251,6 +252,185 @@ def repair(
     from derail_ros.commands import repair as command
 
     return command.run(bag, output)
+
+
+@app.command()
+def sensitivity(
+    members: Annotated[
+        int, typer.Option("--ensemble", "-n", min=2, help="Runs a case and change.")
+    ] = 20,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    cases: Annotated[
+        list[str] | None,
+        typer.Option("--case", help="A published case, or all; five of them by default."),
+    ] = None,
+    constants: Annotated[
+        list[str] | None, typer.Option("--only", help="A constant; all by default.")
+    ] = None,
+    as_json: Json = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write docs/sensitivity.md (or --to) as well.")
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/sensitivity.md"
+    ),
+) -> int:
+    """Vary each reconstructed constant and form about its default."""
+    from derail_ros.commands import sensitivity as command
+
+    return command.run(
+        members, seed, jobs, cases or [], constants or [], as_json, to if write else None
+    )
+
+
+class _StudyGroup(typer.core.TyperGroup):
+    """``derail study STUDY`` is ``derail study run STUDY``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+study = typer.Typer(
+    cls=_StudyGroup,
+    help="Run a study: derail study STUDY, the name of a shipped one or a YAML file.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(study, name="study")
+
+
+@study.command("run")
+def study_run(
+    name: Annotated[
+        str, typer.Argument(metavar="STUDY", help="Name of a shipped study, or a YAML file.")
+    ],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Change a value of the base scenario."),
+    ] = None,
+    ensemble: Annotated[
+        int | None, typer.Option("--ensemble", "-n", min=1, help="Runs a point.")
+    ] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="Points of a sampled design; N of sobol.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed.")] = None,
+    jobs: Jobs = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="tcp://...", help="Run it on this Dask cluster.")
+    ] = None,
+    table: Annotated[str, typer.Option(help="parquet or csv.")] = "parquet",
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Results; runs/study_NAME by default."),
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Check every point, run none.")] = False,
+    as_json: Json = False,
+) -> int:
+    """Run a study, or what is missing of it, and say what it shows.
+
+    Interrupted, the same command goes on from the runs that are finished.
+    """
+    from derail_ros.commands import study as command
+
+    return command.run(
+        name, settings or [], ensemble, points, seed, jobs, dask, table, output, check, as_json
+    )
+
+
+Results = Annotated[Path, typer.Argument(help="Folder of results.")]
+
+
+@study.command("show")
+def study_show(results: Results, as_json: Json = False) -> int:
+    """Print what results say: means with their uncertainty, and sentences."""
+    from derail_ros.commands import study as command
+
+    return command.show(results, as_json)
+
+
+@study.command("report")
+def study_report(
+    results: Results,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the page.")
+    ],
+) -> int:
+    """Write a page (HTML) with figures and tables, the figures (PNG) and the tables (CSV)."""
+    from derail_ros.commands import study as command
+
+    return command.report(results, output)
+
+
+@study.command("list")
+def study_list(as_json: Json = False) -> int:
+    """List the studies that ship."""
+    from derail_ros.commands import study as command
+
+    return command.listing(as_json)
+
+
+@app.command()
+def spread(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenarios; Mississauga and the base train by default."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Change a value in all of them."),
+    ] = None,
+    members: Annotated[int, typer.Option("--ensemble", "-n", min=2, help="Runs each.")] = 200,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write docs/spread.md (or --to) as well.")
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/spread.md"
+    ),
+) -> int:
+    """Show the distributions of outcomes over many runs of a scenario."""
+    from derail_ros.commands import spread as command
+
+    return command.run(
+        names or [], settings or [], members, seed, jobs, as_json, to if write else None
+    )
+
+
+@app.command()
+def convergence(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenarios; Mississauga and the base train by default."),
+    ] = None,
+    members: Annotated[
+        int, typer.Option("--ensemble", "-n", min=3, help="Runs a tolerance.")
+    ] = 40,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    tolerances: Annotated[
+        list[float] | None,
+        typer.Option("--rtol", help="A tolerance; 1e-2 to 1e-7 by default."),
+    ] = None,
+    as_json: Json = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write docs/convergence.md (or --to) as well.")
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/convergence.md"
+    ),
+) -> int:
+    """Compare ensembles at several tolerances with the tightest."""
+    from derail_ros.commands import convergence as command
+
+    return command.run(
+        names or [], members, seed, jobs, tolerances or [], as_json, to if write else None
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

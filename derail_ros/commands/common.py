@@ -98,6 +98,52 @@ def progress(*columns: Any) -> Iterator[Any]:
         yield bars
 
 
+def counting_columns() -> list[Any]:
+    """Columns of a progress display that counts runs."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return [
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    ]
+
+
+IMAGE_DPI = 100
+"""Of the figures of documentation pages: sharp enough to read, small enough to keep in git."""
+
+
+def image_beside(page: Path, name: str) -> Path:
+    """Place of an image of a page, in the folder ``images`` beside it, which is made.
+
+    Raises
+    ------
+    CommandFailure
+        The page's own folder does not exist.
+    """
+    if not page.parent.is_dir():
+        raise CommandFailure(f"{page}: there is no folder {page.parent}")
+    folder = page.parent / "images"
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise CommandFailure(f"{folder}: {error.strerror or error}") from None
+    return folder / name
+
+
+def relative(image: Path, page: Path) -> str:
+    """The path of an image as its page writes it."""
+    return image.relative_to(page.parent).as_posix()
+
+
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write one JSON object to a file."""
     text = json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2)

@@ -19,40 +19,25 @@ def run(
     page: Path | None,
 ) -> int:
     """Compare and report; the exit code tells whether runs failed, not whether goals were met."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     from derail_ros.scenario import parse_set
     from derail_ros.studies import validation as v
 
     overrides = dict(parse_set(text) for text in settings)
     if page is not None and overrides:
         raise CommandFailure("--write is for the model as it is, without --set")
-    if page is not None and not page.parent.is_dir():
-        raise CommandFailure(f"{page}: there is no folder {page.parent}")
+    folder = None if page is None else common.image_beside(page, v.FIGURES[0][0]).parent
     common.warm_up()
-    columns: list[Any] = [
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    ]
-    with common.progress(*columns) as bars:
+    with common.progress(*common.counting_columns()) as bars:
         task = bars.add_task("validate", total=None)
 
         def show(done: int, total: int) -> None:
             bars.update(task, completed=done, total=total)
 
         result = v.validate(members, seed, jobs=jobs, settings=overrides, progress=show)
-    if page is not None:
-        page.write_text(v.markdown(result), encoding="utf-8")
-        note(f"derail: wrote {page}")
+    if page is not None and folder is not None:
+        _draw(result, folder, jobs)
+        page.write_text(v.markdown(result, common.relative(folder, page)), encoding="utf-8")
+        note(f"derail: wrote {page} and its figures in {folder}")
     if as_json:
         common.print_json(result.as_dict())
     else:
@@ -62,6 +47,25 @@ def run(
         errors = {e for c in (*result.cases, *result.beside) for e in c.errors}
         note(f"derail: {failed} runs failed: {'; '.join(sorted(errors))}")
     return FAILED if failed else OK
+
+
+def _draw(result: Any, folder: Path, jobs: int | None) -> None:
+    """Write the page's figures."""
+    from derail_ros.review.figures import final_scene, save
+    from derail_ros.studies import mississauga
+    from derail_ros.studies import validation_figures as f
+    from derail_ros.studies.validation import FIGURES
+
+    published = mississauga.load_published_run()
+    details = mississauga.details(result.members, result.seed, jobs=jobs, published=published)
+    figures = (
+        f.published_against_computed(result),
+        f.peaks_by_car(details, published, "Mississauga"),
+        f.scene_series(details, published, "Mississauga"),
+        final_scene(details.final),
+    )
+    for figure, (name, _, _) in zip(figures, FIGURES, strict=True):
+        save(figure, folder / name, dpi=common.IMAGE_DPI)
 
 
 def _print(result: Any) -> None:

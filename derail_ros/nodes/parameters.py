@@ -67,7 +67,7 @@ class Parameter:
             With the reason why it cannot be.
         """
         kind = self.type_name
-        unit = f" {self.unit}" if self.unit else ""
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         if kind == "string_array":
             if isinstance(value, (list, tuple)) and all(isinstance(v, str) for v in value):
                 return list(value)
@@ -207,7 +207,61 @@ RECORDER = (
     ),
 )
 
-NODES = {"simulator": SIMULATOR, "recorder": RECORDER}
+PLAYER = (
+    Parameter("path", "", "the recording: its folder, or a file of it", read_only=True),
+    Parameter(
+        "rate",
+        1.0,
+        "recorded time per wall time at the start; later `~/set_rate`",
+        unit="1",
+        low=1e-3,
+        high=1000.0,
+        read_only=True,
+    ),
+    Parameter(
+        "start_offset",
+        0.0,
+        "begin so long after the beginning of the recording",
+        unit="s",
+        low=0.0,
+        high=1e9,
+        read_only=True,
+    ),
+    Parameter("loop", False, "begin again at the end", read_only=True),
+    Parameter("start_paused", False, "wait for `~/resume`", read_only=True),
+    Parameter(
+        "auto_exit",
+        True,
+        "end when everything has been played; otherwise stay, paused",
+        read_only=True,
+    ),
+    Parameter(
+        "publish_clock",
+        True,
+        "publish `/clock`, unless another node does already",
+        read_only=True,
+    ),
+    Parameter(
+        "clock_rate",
+        100.0,
+        "clock messages per second of wall time",
+        unit="Hz",
+        low=1.0,
+        high=1000.0,
+        read_only=True,
+    ),
+    Parameter(
+        "await_listeners",
+        0,
+        "begin when the states have so many subscribers, or after 10 s",
+        unit="1",
+        low=0,
+        high=100,
+        read_only=True,
+    ),
+)
+
+NODES = {"simulator": SIMULATOR, "recorder": RECORDER, "player": PLAYER}
 
 
 # --- rclpy -----------------------------------------------------------------------------------
@@ -384,7 +438,10 @@ Relative names are in the node's namespace and can be remapped.
 {topic_table()}
 ## `recorder`
 
-{parameter_table("recorder")}"""
+{parameter_table("recorder")}
+## `player`
+
+{parameter_table("player")}"""
 
 
 def generated(root: Path) -> dict[Path, str]:

@@ -83,21 +83,18 @@ def make_node_class() -> Any:
 
         def tell(self) -> None:
             """Report what was heard and what was missed."""
-            missed = {
-                name: (counts["lost"], counts["gaps"])
-                for name, counts in self.listener.report().items()
-                if counts["lost"] or counts["gaps"]
-            }
-            received = sum(c["received"] for c in self.listener.report().values())
-            for path in self.listener.closed:
+            for path, report in zip(self.listener.closed, self.listener.reports):
                 self.get_logger().info(f"recording closed: {path}")
-            self.get_logger().info(f"{received} messages received")
-            for name, (lost, gaps) in missed.items():
-                self.get_logger().warning(
-                    f"{name}: {lost} messages missed by their numbers, {gaps} by their times"
+                received = sum(counts["received"] for counts in report.values())
+                missed = {n: c for n, c in report.items() if c["lost"] or c["gaps"]}
+                self.get_logger().info(
+                    f"{received} messages received" + ("" if missed else ", no message missed")
                 )
-            if not missed:
-                self.get_logger().info("no message missed")
+                for name, counts in missed.items():
+                    self.get_logger().warning(
+                        f"{name}: {counts['lost']} messages missed by their numbers, "
+                        f"{counts['gaps']} by their times"
+                    )
 
     return RecorderNode
 

@@ -18,15 +18,19 @@ import yaml
 
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.recording.recorder import RunRecorder
+from derail_ros.scenario import ScenarioError, loads_scenario
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
 from msg_adapters.definitions import deserialize
 from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
 
 HOLD = 2.0
 """Wall time for which other messages wait for the latched ones, s."""
+STRAGGLERS = 2.0
+"""Wall time for which an old recording stays open for what comes late, s."""
 BACKWARD = NANOSECONDS
 """Simulation time that jumps back further than this (ns) has begun anew."""
 STOPPED = 5
+"""Status of an outcome (``derail_msgs/Outcome``) that a command has ended."""
 IDLE_TOPICS = ("/diagnostics", "/clock", "markers")
 """Topics that go on while nothing happens."""
 
@@ -41,6 +45,32 @@ def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
     return stamp_of_bytes(data)
 
 
+def message_run(topic: Topic, data: bytes) -> str:
+    """Identity of the run that a serialised message belongs to, "" if it does not say."""
+    if not topic.msgtype.startswith("derail_msgs/"):
+        return ""
+    order = "little" if data[1] & 1 else "big"
+    # After the encapsulation: header (8 bytes of time, then frame_id), run_id; texts are aligned
+    # to 4 and end with a zero.
+    at = 12
+    for _ in range(2):
+        at += -at % 4
+        length = int.from_bytes(data[at : at + 4], order)
+        text = data[at + 4 : at + 3 + length]
+        at += 4 + length
+    return text.decode()
+
+
+def _resolved(text: str) -> dict[str, Any]:
+    """A scenario with all defaults, as plain data, from the YAML of a consist."""
+    try:
+        return loads_scenario(text).resolved()
+    except ScenarioError:
+        # Of another version: what it says is still worth keeping.
+        data = yaml.safe_load(text)
+        return data if isinstance(data, dict) else {}
+
+
 @dataclass
 class Heard:
     """What was heard of a topic.
@@ -50,13 +80,11 @@ class Heard:
     received : messages
     lost : messages that the middleware's numbers show to be missing
     stamps : times of the messages, ns (state topics)
-    numbers : last number of each publisher
     """
 
     received: int = 0
     lost: int = 0
     stamps: list[int] = field(default_factory=list)
-    numbers: dict[bytes, int] = field(default_factory=dict)
 
     def gaps(self, start: int | None = None) -> int:
         """Messages missing by their regular times: between others, and since ``start`` (ns)."""
@@ -66,6 +94,115 @@ class Heard:
         interval = min(pairs)
         before = 0 if start is None else max(0, round((self.stamps[0] - start) / interval))
         return before + sum(round(pair / interval) - 1 for pair in pairs)
+
+
+class _Bag:
+    """One recording and what is known of its runs."""
+
+    def __init__(self, path: Path, storage: str, topics: Mapping[str, Topic]) -> None:
+        first = next(iter(topics), "/")
+        manifest_topic = f"{first.rpartition('/')[0]}/{MANIFEST.name}"
+        self.topics = topics
+        self.recorder = RunRecorder(path, storage, {manifest_topic: MANIFEST, **topics})
+        self.manifest = Manifest(settings={"recorded_by": "listener", "storage": storage})
+        self.heard = {name: Heard() for name in topics}
+        self.runs: set[str] = set()
+        self.last_stamp = 0
+        self._awaited = {n for n, t in topics.items() if t.name in ("consist", "track")}
+        self._held: list[tuple[str, int, bytes]] | None = []
+        self._hold_until: float | None = None
+
+    def write(self, name: str, stamp: int, data: bytes, now: float) -> None:
+        """Write a message, or hold it back until the latched topics have come."""
+        topic = self.topics[name]
+        heard = self.heard[name]
+        heard.received += 1
+        if topic.name in STATE_TOPICS:
+            heard.stamps.append(stamp)
+            self.last_stamp = max(self.last_stamp, stamp)
+        self._note(topic.name, data)
+        if self._held is None:
+            self.recorder.write(name, stamp, data)
+            return
+        if self._hold_until is None:
+            self._hold_until = now + HOLD
+        self._held.append((name, stamp, data))
+        self.release(now)
+
+    def release(self, now: float) -> None:
+        """Write what was held back, latched topics first, once they have come or time is up."""
+        if self._held is None or self._hold_until is None:
+            return
+        if self._awaited <= {name for name, _, _ in self._held} or now >= self._hold_until:
+            held, self._held = self._held, None
+            for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
+                self.recorder.write(*message)
+
+    def _run(self, run_id: str) -> RunEntry | None:
+        return next((run for run in self.manifest.runs if run.run_id == run_id), None)
+
+    def _note(self, name: str, data: bytes) -> None:
+        """Gather what the manifest says of a run."""
+        if name == "consist":
+            message = deserialize(data, "derail_msgs/msg/Consist")
+            self.manifest.software |= {
+                "derail_ros": message.software_version,
+                "engine_hash": message.engine_hash,
+            }
+            self.manifest.runs.append(
+                RunEntry(
+                    run_id=message.run_id,
+                    scenario_name=message.scenario_name,
+                    scenario_hash=message.scenario_hash,
+                    scenario=_resolved(message.scenario_yaml),
+                    start_time=stamp_of(message),
+                )
+            )
+        elif name == "command_log":
+            message = deserialize(data, "derail_msgs/msg/CommandLog")
+            run = self._run(message.run_id)
+            if run is not None:
+                entry = {
+                    "command": message.command,
+                    "request": message.request_json,
+                    "step": int(message.step),
+                    "time": float(message.time),
+                }
+                if message.accepted:
+                    run.commands.append(entry)
+                else:
+                    run.refused.append(entry | {"reason": message.message})
+        elif name == "outcome":
+            message = deserialize(data, "derail_msgs/msg/Outcome")
+            run = self._run(message.run_id)
+            if run is not None:
+                run.status = message.status_name
+                run.time, run.steps = float(message.time), int(message.step)
+                run.outcome = {
+                    "cars_derailed": int(message.cars_derailed),
+                    "derailed_cars": message.derailed_cars.tolist(),
+                    "duration": float(message.duration),
+                    "peak_force": float(message.peak_corner_force),
+                    "peak_force_pair": [int(message.peak_car_a), int(message.peak_car_b)],
+                    "scene_length": float(message.scene_length),
+                    "scene_width": float(message.scene_width),
+                }
+
+    def report(self) -> dict[str, dict[str, int]]:
+        """Messages received and missed, by topic."""
+        start = self.manifest.runs[0].start_time if self.manifest.runs else None
+        return {
+            name: {"received": h.received, "lost": h.lost, "gaps": h.gaps(start)}
+            for name, h in self.heard.items()
+        }
+
+    def close(self) -> None:
+        """Close the recording whole."""
+        if self._held:
+            self._hold_until = 0.0
+            self.release(0.0)
+        self.manifest.settings["missed"] = self.report()
+        self.recorder.close(self.manifest)
 
 
 class Listener:
@@ -86,168 +223,123 @@ class Listener:
         self.storage = storage
         self.topics = dict(topics)
         self.closed: list[Path] = []
-        self.final = False
-        self._names = {topic.name: name for name, topic in self.topics.items()}
-        self._begin()
-
-    def _begin(self) -> None:
-        path = self.path
-        if self.closed:
-            path = path.with_name(f"{path.name}_{len(self.closed)}")
-        manifest_name = self._manifest_name()
-        self.recorder = RunRecorder(path, self.storage, {manifest_name: MANIFEST, **self.topics})
-        self.manifest = Manifest(settings={"recorded_by": "listener", "storage": self.storage})
-        self.heard = {name: Heard() for name in self.topics}
-        self.last_stamp = 0
+        self.reports: list[dict[str, dict[str, int]]] = []
         self.last_time = time.monotonic()
         self.final_stamp: int | None = None
         self.final_time = 0.0
-        self._held: list[tuple[str, int, bytes]] | None = []
-        self._hold_until: float | None = None
+        self._numbers: dict[tuple[str, bytes], int] = {}
+        self._bags = 0
+        self._bag = self._open()
+        self._old: tuple[_Bag, float] | None = None
 
-    def _manifest_name(self) -> str:
-        name = next(iter(self.topics), "/x")
-        return f"{name.rpartition('/')[0]}/{MANIFEST.name}"
+    def _open(self) -> _Bag:
+        path = self.path
+        if self._bags:
+            path = path.with_name(f"{path.name}_{self._bags}")
+        self._bags += 1
+        return _Bag(path, self.storage, self.topics)
 
     # --- messages ----------------------------------------------------------------------------
 
     def take(self, name: str, data: bytes, info: Mapping[str, Any]) -> None:
         """Take a message as it came: topic, CDR bytes, what the middleware says of it."""
         topic = self.topics[name]
-        stamp = message_stamp(topic, data, self.last_stamp)
-        if topic.name in STATE_TOPICS and stamp < self.last_stamp - BACKWARD:
-            self._roll()
-        heard = self.heard[name]
-        heard.received += 1
-        self._count(heard, info)
-        if topic.name in STATE_TOPICS:
-            heard.stamps.append(stamp)
-            self.last_stamp = max(self.last_stamp, stamp)
         now = time.monotonic()
+        stamp = message_stamp(topic, data, self._bag.last_stamp)
+        bag = self._bag_of(topic, message_run(topic, data), stamp, now)
+        bag.heard[name].lost += self._missing(name, info)
+        bag.write(name, stamp, data, now)
         if topic.name not in IDLE_TOPICS:
             self.last_time = now
-        self._note(topic.name, data)
-        if self._held is None:
-            self.recorder.write(name, stamp, data)
-            return
-        if self._hold_until is None:
-            self._hold_until = now + HOLD
-        self._held.append((name, stamp, data))
-        self.release()
+        if topic.name == "outcome" and bag is self._bag:
+            self._look_for_the_end(data, now)
 
-    @staticmethod
-    def _count(heard: Heard, info: Mapping[str, Any]) -> None:
+    def _bag_of(self, topic: Topic, run_id: str, stamp: int, now: float) -> _Bag:
+        """The recording that a message belongs to; a new one when time has begun anew.
+
+        Topics come in no order among each other: a message of the old run may come after the
+        first one of the new.
+        """
+        bag = self._bag
+        anew = stamp < bag.last_stamp - BACKWARD
+        if run_id:
+            if run_id in bag.runs:
+                return bag
+            if self._old is not None and run_id in self._old[0].runs:
+                return self._old[0]
+            if anew and bag.runs:
+                bag = self._roll(now)
+            bag.runs.add(run_id)
+            return bag
+        if topic.name in (*STATE_TOPICS, "markers"):
+            if anew:
+                return self._roll(now)
+            if self._old is not None and stamp > bag.last_stamp + BACKWARD:
+                return self._old[0]
+        return bag
+
+    def _roll(self, now: float) -> _Bag:
+        """Simulation time has begun anew: go on in a new recording."""
+        self._close_old()
+        self._old = (self._bag, now + STRAGGLERS)
+        self._bag = self._open()
+        self.final_stamp = None
+        return self._bag
+
+    def _missing(self, name: str, info: Mapping[str, Any]) -> int:
+        """Number of messages that a publisher has sent since its last one that came."""
         number = info.get("publication_sequence_number")
-        publisher = info.get("publisher_gid") or {}
         if not number:
-            return
-        key = bytes(publisher.get("data", b"")) if isinstance(publisher, Mapping) else b""
-        last = heard.numbers.get(key)
-        if last is not None and number > last + 1:
-            heard.lost += number - last - 1
-        heard.numbers[key] = number
+            return 0
+        publisher = info.get("publisher_gid")
+        identity = publisher.get("data", b"") if isinstance(publisher, Mapping) else b""
+        key = (name, bytes(identity))
+        last = self._numbers.get(key)
+        self._numbers[key] = number
+        return 0 if last is None else max(0, number - last - 1)
 
     def release(self) -> None:
-        """Write what was held back, latched topics first, once they have come or time is up."""
-        if self._held is None or self._hold_until is None:
-            return
-        seen = {name for name, _, _ in self._held}
-        awaited = {self._names[n] for n in ("consist", "track") if n in self._names}
-        if awaited <= seen or time.monotonic() >= self._hold_until:
-            held, self._held = self._held, None
-            for name, stamp, data in sorted(held, key=lambda m: not self.topics[m[0]].latched):
-                self.recorder.write(name, stamp, data)
+        """Do what time has come for: held messages, an old recording."""
+        now = time.monotonic()
+        self._bag.release(now)
+        if self._old is not None and now >= self._old[1]:
+            self._close_old()
 
-    def _roll(self) -> None:
-        """Simulation time has begun anew: go on in a new recording.
+    # --- the end -----------------------------------------------------------------------------
 
-        Latched messages of the new run may have come already; they belong into the new one.
-        """
-        self.close()
-        self._begin()
-
-    # --- what the manifest wants to know ------------------------------------------------------
-
-    def _note(self, name: str, data: bytes) -> None:
-        if name == "consist":
-            message = deserialize(data, "derail_msgs/msg/Consist")
-            self.manifest.software |= {
-                "derail_ros": message.software_version,
-                "engine_hash": message.engine_hash,
-            }
-            self.manifest.runs.append(
-                RunEntry(
-                    run_id=message.run_id,
-                    scenario_name=message.scenario_name,
-                    scenario_hash=message.scenario_hash,
-                    scenario=yaml.safe_load(message.scenario_yaml) or {},
-                    start_time=stamp_of(message),
-                )
-            )
-        elif name == "command_log":
-            message = deserialize(data, "derail_msgs/msg/CommandLog")
-            for run in self.manifest.runs:
-                if run.run_id == message.run_id:
-                    entry = {
-                        "command": message.command,
-                        "request": message.request_json,
-                        "step": int(message.step),
-                        "time": float(message.time),
-                    }
-                    if message.accepted:
-                        run.commands.append(entry)
-                    else:
-                        run.refused.append(entry | {"reason": message.message})
-        elif name == "outcome":
-            message = deserialize(data, "derail_msgs/msg/Outcome")
-            self.final = bool(message.is_final) and message.status != STOPPED
-            self.final_stamp = stamp_of(message) if self.final else None
-            self.final_time = time.monotonic()
-            for run in self.manifest.runs:
-                if run.run_id == message.run_id:
-                    run.status = message.status_name
-                    run.time, run.steps = float(message.time), int(message.step)
-                    run.outcome = {
-                        "cars_derailed": int(message.cars_derailed),
-                        "derailed_cars": message.derailed_cars.tolist(),
-                        "duration": float(message.duration),
-                        "peak_force": float(message.peak_corner_force),
-                        "peak_force_pair": [int(message.peak_car_a), int(message.peak_car_b)],
-                        "scene_length": float(message.scene_length),
-                        "scene_width": float(message.scene_width),
-                    }
+    def _look_for_the_end(self, data: bytes, now: float) -> None:
+        message = deserialize(data, "derail_msgs/msg/Outcome")
+        final = message.is_final and message.status != STOPPED
+        self.final_stamp = stamp_of(message) if final else None
+        self.final_time = now
 
     def complete(self, settle: float) -> bool:
         """Whether the final outcome is there, and the last states, and nothing more comes."""
         if self.final_stamp is None:
             return False
-        quiet = time.monotonic() - self.last_time
+        now = time.monotonic()
         reached = all(
             not heard.stamps or heard.stamps[-1] >= self.final_stamp
-            for name, heard in self.heard.items()
+            for name, heard in self._bag.heard.items()
             if self.topics[name].name in STATE_TOPICS
         )
-        # Markers go on while nothing moves, so what counts is that the states have come.
-        waited = time.monotonic() - self.final_time
-        return reached and waited >= settle or quiet >= 4.0 * settle
+        # The states of a failed run never reach its outcome: then quiet decides.
+        return (reached and now >= self.final_time + settle) or (
+            now >= self.last_time + 4.0 * settle
+        )
 
-    # --- the end -----------------------------------------------------------------------------
+    def _finish(self, bag: _Bag) -> None:
+        bag.close()
+        self.closed.append(bag.recorder.path)
+        self.reports.append(bag.report())
 
-    def report(self) -> dict[str, dict[str, int]]:
-        """Messages received and missed, by topic."""
-        start = self.manifest.runs[0].start_time if self.manifest.runs else None
-        return {
-            name: {"received": h.received, "lost": h.lost, "gaps": h.gaps(start)}
-            for name, h in self.heard.items()
-        }
+    def _close_old(self) -> None:
+        if self._old is not None:
+            self._finish(self._old[0])
+            self._old = None
 
     def close(self) -> None:
-        """Close the recording whole."""
-        if self.recorder.path in self.closed:
-            return
-        if self._held:
-            self._hold_until = 0.0
-            self.release()
-        self.manifest.settings["missed"] = self.report()
-        self.recorder.close(self.manifest)
-        self.closed.append(self.recorder.path)
+        """Close the recordings whole."""
+        self._close_old()
+        if self._bag.recorder.path not in self.closed:
+            self._finish(self._bag)

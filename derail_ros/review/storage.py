@@ -12,6 +12,7 @@ import shutil
 import sqlite3
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -259,26 +260,44 @@ def _ends_well(file: Path) -> bool:
 # --- MCAP from its beginning -----------------------------------------------------------------
 
 
-def _decompress(kind: str, data: bytes, size: int) -> bytes:
-    if kind == "":
-        return data
-    if kind == "lz4":
-        from lz4.frame import decompress as lz4
-
-        return bytes(lz4(data))
-    if kind != "zstd":
-        raise ValueError(f"unknown compression {kind!r}")
-    # rosbags brings one of the three, depending on its version and Python's.
+def _zstd() -> Any:
+    """The module that rosbags brings, which depends on its version and Python's."""
     try:
         from compression import zstd  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         try:
             from backports import zstd  # type: ignore[no-redef,unused-ignore]
         except ImportError:
-            import zstandard
+            import zstandard as zstd  # type: ignore[no-redef,unused-ignore]
+    return zstd
 
-            return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
-    return bytes(zstd.decompress(data))
+
+def _decompress(kind: str, data: bytes) -> bytes:
+    """What compressed data hold; of data that are cut off, what can still be had."""
+    if kind == "":
+        return data
+    decompressor: Any
+    if kind == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        decompressor = LZ4FrameDecompressor()
+    elif kind == "zstd":
+        zstd = _zstd()
+        decompressor = zstd.ZstdDecompressor()
+        if hasattr(decompressor, "decompressobj"):
+            decompressor = decompressor.decompressobj()
+    else:
+        raise ValueError(f"unknown compression {kind!r}")
+    return bytes(decompressor.decompress(data))
+
+
+class _CutOff(Exception):
+    """A record is cut off: what there is of it."""
+
+    def __init__(self, op: int = 0, data: bytes = b"") -> None:
+        super().__init__()
+        self.op = op
+        self.data = data
 
 
 def _records(stream: BinaryIO, end: int) -> Iterator[tuple[int, bytes]]:
@@ -286,11 +305,13 @@ def _records(stream: BinaryIO, end: int) -> Iterator[tuple[int, bytes]]:
     while stream.tell() + 9 <= end:
         head = stream.read(9)
         op, size = head[0], struct.unpack_from("<Q", head, 1)[0]
-        if size > LARGEST_RECORD or stream.tell() + size > end:
-            raise EOFError
+        if size > LARGEST_RECORD:
+            raise _CutOff
+        if stream.tell() + size > end:
+            raise _CutOff(op, stream.read(end - stream.tell()))
         yield op, stream.read(size)
     if stream.tell() != end:
-        raise EOFError
+        raise _CutOff
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -372,24 +393,33 @@ def _mcap(
                     yield op, data, stream.tell()
                 elif op == 0x0F:  # end of the data; what follows repeats
                     return
-        except EOFError:
+        except _CutOff as cut:
             warn(f"{file.name} is cut off at its end")
+            if cut.op == 0x06:
+                for record in _rest(cut.data):
+                    yield *record, size
 
 
-def _chunk(data: bytes) -> bytes:
+def _rest(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Records of a chunk that is cut off."""
+    with suppress(Exception):  # it may end anywhere, also in the middle of what tells its form
+        inner = _chunk(data, whole=False)
+        yield from _records(io.BytesIO(inner), len(inner))
+
+
+def _chunk(data: bytes, whole: bool = True) -> bytes:
     _, _, size, crc = struct.unpack_from("<QQQI", data)
     if size > LARGEST_RECORD:
         raise ValueError(f"of {size} bytes")
     kind, at = _text(data, 28)
     (packed,) = struct.unpack_from("<Q", data, at)
-    inner = _decompress(kind, data[at + 8 : at + 8 + packed], size)
+    inner = _decompress(kind, data[at + 8 : at + 8 + packed])
+    if not whole:
+        return inner[:size]
     if len(inner) != size:
         raise ValueError("its size is wrong")
-    if crc:
-        import zlib
-
-        if zlib.crc32(inner) != crc:
-            raise ValueError("its checksum is wrong")
+    if crc and zlib.crc32(inner) != crc:
+        raise ValueError("its checksum is wrong")
     return inner
 
 

@@ -178,7 +178,8 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def _attempt(index: int, run: Run, task: Task, stop: Callable[[], bool]) -> Result:
+def attempt(index: int, run: Run, task: Task, stop: Callable[[], bool]) -> Result:
+    """Compute a run; what goes wrong is its result's error, all but :class:`Stopped`."""
     began = time.perf_counter()
     try:
         value, error = task(run, stop), None
@@ -189,7 +190,8 @@ def _attempt(index: int, run: Run, task: Task, stop: Callable[[], bool]) -> Resu
     return Result(index, run, value, error, time.perf_counter() - began)
 
 
-def _never() -> bool:
+def never() -> bool:
+    """A stop flag that is never set."""
     return False
 
 
@@ -224,7 +226,7 @@ def run_many(
     numbered = iter(enumerate(runs))
     if jobs == 1:
         for index, run in numbered:
-            yield _attempt(index, run, task, _never)
+            yield attempt(index, run, task, never)
         return
 
     stopping = threading.Event()
@@ -239,7 +241,7 @@ def run_many(
                 if item is None:
                     more = False
                 else:
-                    pending.add(executor.submit(_attempt, *item, task, stopping.is_set))
+                    pending.add(executor.submit(attempt, *item, task, stopping.is_set))
             if pending:
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:

@@ -421,8 +421,17 @@ def verdict(s: Spread, digits: int) -> str:
     return f"mean {abs(off):.{digits}f} {side}"
 
 
-def markdown(validation: Validation) -> str:
-    """The page ``docs/validation.md``."""
+FIGURES: tuple[tuple[str, str, str], ...] = (
+    ("validation.png", "", "Published values beside the ensembles"),
+    ("validation_peaks.png", "Peak force on each car", "Peak force on each car"),
+    ("validation_scenes.png", "The pile as it grows", "The scene at 5.7, 5.9, 8.0 and 8.6 s"),
+    ("validation_final_scene.png", "The final scene", "The final scene of the Mississauga run"),
+)
+"""Files of the page's figures, headings within the section on Mississauga, what they show."""
+
+
+def markdown(validation: Validation, images: str | None = None) -> str:
+    """The page ``docs/validation.md``; ``images``: the folder of its figures as it writes it."""
     intro = (
         "The model restates that of E. E. Toma, *A Computer Model of a Derailment*, PhD thesis, "
         "Queen's University, 1998. Its published results are single runs, and outcomes are "
@@ -455,6 +464,9 @@ def markdown(validation: Validation) -> str:
             f"| {g.text} | {g.cases} | {sign} {g.limit:g} | {shown(g.value, 2)} | "
             f"{'met' if g.met else '**missed**'} | {shown(g.scatter, 2)} |"
         )
+    if images is not None:
+        file, _, text = FIGURES[0]
+        lines += ["", f"![{text}]({images}/{file})"]
     for name, _, label, _ in MEASURES:
         rows = [
             (r, r.spreads[name])
@@ -493,6 +505,10 @@ def markdown(validation: Validation) -> str:
             f"| {result.case.title} | {'-'.join(map(str, pair)) if pair else '-'} | {pairs} | "
             f"{result.void} | {result.failed} |"
         )
+    if images is not None:
+        lines += ["", "## Mississauga in detail"]
+        for file, heading, text in FIGURES[1:]:
+            lines += ["", f"### {heading}", "", f"![{text}]({images}/{file})"]
     lines += [
         "",
         "## What is compared",

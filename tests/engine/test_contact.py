@@ -20,7 +20,7 @@ from tests.engine.support import (
     with_integration,
 )
 
-COUNTED = settings(deadline=None, max_examples=300, derandomize=True)
+COUNTED = settings(deadline=None, max_examples=150, derandomize=True)
 
 # Base cars: 14.1 m x 2.6 m
 A, B = 7.05, 1.3

@@ -124,12 +124,13 @@ def test_save_and_load_in_the_middle(method):
         assert loaded.params == run.params
         assert loaded.commands == run.commands
         assert loaded.to_bytes() == data
-        loaded.run()
-        assert same_run(loaded, finished(method)), t
+        if t in (0.7, 3.7):
+            loaded.run()
+            assert same_run(loaded, finished(method)), t
     # and a chain of loadings
     run = Simulation(lively(method))
     while not run.ended:
-        run.advance_to(run.time + 0.9)
+        run.advance_to(run.time + 2.2)
         run = Simulation.from_bytes(run.to_bytes())
     assert same_run(run, finished(method))
 

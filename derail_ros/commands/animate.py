@@ -1,0 +1,48 @@
+"""``derail animate``: a film of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from derail_ros.commands import common
+from derail_ros.commands.common import OK, CommandFailure
+from derail_ros.commands.review import bag_errors, read
+
+
+def run(
+    bag: str,
+    output: Path,
+    chosen: str | None,
+    namespace: str | None,
+    fps: int,
+    rate: float,
+    width: int,
+    start: float | None,
+    end: float | None,
+) -> int:
+    """Make the film; the exit code."""
+    from derail_ros.review.film import KINDS, FilmError, film
+
+    if output.suffix.lower() not in KINDS:
+        raise CommandFailure(f"{output}: a film ends in {' or '.join(KINDS)}")
+    if output.suffix.lower() == ".mp4":
+        try:
+            import imageio_ffmpeg  # noqa: F401
+        except ImportError:
+            raise CommandFailure(
+                "MP4 needs imageio-ffmpeg: pip install 'derail_ros[video]'; or name a .gif"
+            ) from None
+    found = read(bag, chosen, namespace)
+    with bag_errors(), common.progress() as bars:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        task = bars.add_task(output.name, total=None)
+
+        def tell(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        try:
+            count = film(found, output, fps, rate, width, start, end, tell)
+        except FilmError as error:
+            raise CommandFailure(str(error)) from None
+    print(f"{output}: {count} pictures, {output.stat().st_size / 1e6:.1f} MB")
+    return OK

@@ -1,0 +1,232 @@
+"""``derail study``: run a study, show what it says, write its page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, INTERRUPTED, OK, CommandFailure, note
+
+if TYPE_CHECKING:
+    from derail_ros.studies.results import StudyResults
+
+NEEDED = "derail study needs what the extra 'studies' brings: pip install 'derail_ros[studies]'"
+
+
+def _need_extra() -> None:
+    import importlib.util
+
+    for module in ("pandas", "pyarrow", "scipy", "SALib"):
+        if importlib.util.find_spec(module) is None:
+            raise CommandFailure(f"{NEEDED} ({module} is missing)")
+
+
+def default_folder(name: str) -> Path:
+    """Where results go unless another folder is named."""
+    return Path("runs") / f"study_{name}"
+
+
+def run(
+    name_or_file: str,
+    settings: Sequence[str],
+    ensemble: int | None,
+    points: int | None,
+    seed: int | None,
+    jobs: int | None,
+    dask: str | None,
+    table: str,
+    output: Path | None,
+    check_only: bool,
+    as_json: bool,
+) -> int:
+    """Run a study and say what it says; the exit code."""
+    _need_extra()
+    from derail_ros.scenario import parse_set
+    from derail_ros.studies.cluster import ClusterError, on_cluster
+    from derail_ros.studies.design import check, make
+    from derail_ros.studies.ensemble import default_jobs, run_many
+    from derail_ros.studies.plan import load_study
+    from derail_ros.studies.runner import TABLES, StudyError, run_study
+
+    if table not in TABLES:
+        raise CommandFailure(f"--table: must be parquet or csv, not {table!r}")
+    study = load_study(name_or_file)
+    study = study.changed(ensemble=ensemble, seed=seed, points=points)
+    study = study.with_overrides(dict(parse_set(text) for text in settings))
+    design = make(study)
+    where = f"the cluster at {dask}" if dask else f"{jobs or default_jobs()} cores"
+    if check_only:
+        check(design)
+        print(f"{study.name}: {design.size()}; every point can be run")
+        return OK
+    folder = default_folder(study.name) if output is None else output
+    note(f"derail: {study.name}: {design.size()}, on {where}, into {folder}")
+    if not dask:
+        common.warm_up()
+    try:
+        with common.progress(*_columns()) as bars:
+            tasks: dict[str, Any] = {}
+
+            def show(phase: str, done: int, total: int) -> None:
+                if phase not in tasks:
+                    words = {"check": "checking the points", "run": study.name}[phase]
+                    tasks[phase] = bars.add_task(words, total=total, completed=done)
+                    # what an earlier call computed says nothing about the time left
+                    return
+                bars.update(tasks[phase], completed=done)
+
+            runner = on_cluster(dask) if dask else run_many
+            run_study(study, folder, jobs=jobs, table=table, run=runner, progress=show)
+    except (StudyError, ClusterError) as error:
+        raise CommandFailure(str(error)) from None
+    except KeyboardInterrupt:
+        raise CommandFailure(
+            f"interrupted; finished runs are kept in {folder}: the same command goes on",
+            INTERRUPTED,
+        ) from None
+    return _answer(folder, as_json)
+
+
+def show(folder: Path, as_json: bool) -> int:
+    """Print what results say."""
+    _need_extra()
+    return _answer(folder, as_json)
+
+
+def report(folder: Path, output: Path) -> int:
+    """Write the page of results."""
+    _need_extra()
+    results = _results(folder)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        page = results.report(output)
+    except OSError as error:
+        raise CommandFailure(f"{output}: {error.strerror or error}") from None
+    print(page)
+    return OK
+
+
+def listing(as_json: bool) -> int:
+    """List the studies that ship."""
+    _need_extra()
+    from derail_ros.studies.plan import list_studies
+
+    studies = list_studies()
+    if as_json:
+        keys = ("name", "title", "size")
+        common.print_json({"studies": [dict(zip(keys, s, strict=True)) for s in studies]})
+        return OK
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("name", style="bold", no_wrap=True)
+    table.add_column("title")
+    table.add_column("size")
+    for row in studies:
+        table.add_row(*map(escape, row))
+    common.out().print(table)
+    return OK
+
+
+def _columns() -> list[Any]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return [
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    ]
+
+
+def _results(folder: Path) -> StudyResults:
+    from derail_ros.studies.results import StudyResults
+    from derail_ros.studies.runner import StudyError
+
+    try:
+        results = StudyResults(folder)
+        if not len(results.table):
+            raise StudyError(f"{folder}: no run is finished yet")
+    except StudyError as error:
+        raise CommandFailure(str(error)) from None
+    return results
+
+
+def _answer(folder: Path, as_json: bool) -> int:
+    results = _results(folder)
+    failed = int((results.table["status"] == "failed").sum())
+    if as_json:
+        common.print_json(answer(results))
+    else:
+        _print(results)
+    if failed:
+        row = results.table[results.table["status"] == "failed"].iloc[0]
+        note(
+            f"derail: {failed} runs failed; the first, point {row['point']} member "
+            f"{row['member']}: {row['error']}"
+        )
+    return FAILED if failed == len(results.table) else OK
+
+
+def answer(results: StudyResults) -> dict[str, Any]:
+    """What results say, as plain data."""
+    from derail_ros.studies.page import records
+
+    manifest = results.manifest
+    return {
+        "study": manifest["name"],
+        "title": manifest["title"],
+        "size": manifest["size"],
+        "complete": manifest["complete"],
+        "folder": str(results.folder),
+        "statements": results.statements(),
+        "summary": records(results.summary()),
+        "effects": records(results.effects()),
+        "counts": records(results.counts()),
+    }
+
+
+MOST_POINTS = 60
+"""Longest table that is printed whole."""
+
+
+def _print(results: StudyResults) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from derail_ros.studies.page import interval, point_cells, point_heads
+
+    console = common.out()
+    console.print(f"[bold]{escape(results.manifest['title'])}[/bold]: {results.manifest['size']}")
+    summary = results.summary()
+    for measure in results.measures:
+        rows = summary[summary["measure"] == measure].to_dict("records")
+        title = results.manifest["measures"][measure]
+        table = Table(box=None, pad_edge=False, title=title, title_justify="left")
+        for heading in point_heads(results):
+            table.add_column(escape(heading))
+        for heading in ("runs", "mean, 95 % interval", "sd", "5 to 95 % of runs", "relative"):
+            if heading != "relative" or "relative" in summary:
+                table.add_column(heading, justify="right", no_wrap=True)
+        for row in rows[:MOST_POINTS]:
+            table.add_row(*map(escape, [*point_cells(results, row), *interval(measure, row)]))
+        console.print(table)
+        if len(rows) > MOST_POINTS:
+            console.print(f"... {len(rows) - MOST_POINTS} more points in the table of the results")
+        console.print()
+    for heading, lines in results.findings():
+        if heading:
+            console.print(f"[bold]{escape(heading)}[/bold]")
+        for line in lines:
+            console.print(f"- {escape(line)}", soft_wrap=True)
+    console.print(f"results in {escape(str(results.folder))}", soft_wrap=True)

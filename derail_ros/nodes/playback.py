@@ -1,0 +1,263 @@
+"""What the ``player`` node does with a recording and the time; no ROS in here."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+
+from derail_ros.review.storage import BagError, Channel, open_bag
+from msg_adapters.common import NANOSECONDS
+
+IDLE = 0.1
+"""Wall time after which the player looks around even if nothing is due, s."""
+SLICE = 0.01
+"""Wall time after which it looks for requests while much is due, s."""
+STALL = 0.5
+"""Wall time by which it may be late; what is later is not made up for, s."""
+LOOK_BACK = 2 * NANOSECONDS
+"""How far back a seek looks for the last state of everything, ns."""
+OWN_CLOCK = ("/clock",)
+"""Topics that the player makes itself."""
+
+Item = tuple[int, str, bytes]
+"""Time (ns), topic and CDR bytes."""
+
+
+class Output(Protocol):
+    """Where messages go."""
+
+    def publish(self, topic: str, data: bytes) -> None:
+        """Send a message."""
+
+    def renew(self) -> None:
+        """Forget the latched messages sent so far."""
+
+
+class Playback:
+    """A recording that is played.
+
+    Parameters
+    ----------
+    path
+        Of the recording; it must be whole.
+    output
+        Where messages go; may be set later.
+    wall
+        The wall time, s.
+
+    Raises
+    ------
+    BagError
+        If it cannot be played.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        output: Output | None = None,
+        wall: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.bag = open_bag(path)
+        if not self.bag.intact:
+            raise BagError(f"{path}: cut off; `derail repair {path}` makes it whole")
+        self.output = output
+        self.wall = wall
+        self.loop = False
+        self.stopped = False
+        self.laps = 0
+        self._stack = ExitStack()
+        self._open()
+        self._rate = 1.0
+        self._paused = True
+        self._now = self.start
+        self._anchor = wall()
+        self._next: Item | None = None
+        self._items: Iterator[Item] = iter(())
+        self._begin(self.start)
+
+    def _open(self) -> None:
+        try:
+            self._reader = self._stack.enter_context(Reader(self.bag.path))
+        except Exception as error:  # whatever a damaged file makes rosbags raise
+            raise BagError(f"{self.bag.path}: {error}") from None
+        self._connections = [c for c in self._reader.connections if c.topic not in OWN_CLOCK]
+        if not self._reader.message_count:
+            raise BagError(f"{self.bag.path}: no message in it")
+        self.start: int = self._reader.start_time
+        self.end: int = max(self.start, self._reader.end_time - 1)
+        self.latched = [c for c in self._connections if _latched(c)]
+        names = {c.topic for c in self.latched}
+        self._latched: list[Item] = [
+            (stamp, c.topic, bytes(data))
+            for c, stamp, data in (self._reader.messages(self.latched) if self.latched else ())
+        ]
+        self._latched_times = [stamp for stamp, _, _ in self._latched]
+        self._latched_names = names
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._stack.close()
+
+    @property
+    def channels(self) -> list[Channel]:
+        """The topics that are played."""
+        played = {(c.topic, c.msgtype) for c in self._connections}
+        return [c for c in self.bag.channels if (c.topic, c.msgtype) in played]
+
+    # --- time ----------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> int:
+        """Recorded time, ns."""
+        if self._paused:
+            return self._now
+        elapsed = (self.wall() - self._anchor) * self._rate * NANOSECONDS
+        return min(self._now + int(elapsed), self.end)
+
+    def _set(self, now: int) -> None:
+        self._now, self._anchor = now, self.wall()
+
+    @property
+    def paused(self) -> bool:
+        """Whether it stands still."""
+        return self._paused
+
+    @property
+    def rate(self) -> float:
+        """Recorded time per wall time."""
+        return self._rate
+
+    @property
+    def finished(self) -> bool:
+        """Whether everything has been played."""
+        return self._next is None
+
+    def pause(self) -> None:
+        """Stand still."""
+        self._set(self.now)
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on; from the beginning, if the end had been reached."""
+        if self.finished:
+            self.seek(self.start)
+        if self._paused:
+            self._paused = False
+            self._anchor = self.wall()
+
+    def set_rate(self, rate: float) -> bool:
+        """Play at another rate; refused unless it is above zero and finite."""
+        if not math.isfinite(rate) or rate <= 0.0:
+            return False
+        self._set(self.now)
+        self._rate = float(rate)
+        return True
+
+    def seek(self, stamp: int) -> bool:
+        """Go on from another moment; refused outside the recording.
+
+        Listeners get anew what is latched at that moment, and the last state before it.
+        """
+        if not self.start <= stamp <= self.end:
+            return False
+        self._set(stamp)
+        self._begin(stamp)
+        if stamp > self.start:
+            self._show(stamp)
+        return True
+
+    def _begin(self, stamp: int) -> None:
+        """Have the messages from ``stamp`` on ready."""
+        if self.output is not None:
+            self.output.renew()
+        messages = self._reader.messages(self._connections, start=stamp)
+        self._items = (
+            (when, connection.topic, data)
+            for connection, when, data in messages
+            # Those latched until now are shown at once.
+            if not (
+                stamp > self.start and when <= stamp and connection.topic in self._latched_names
+            )
+        )
+        self._next = next(self._items, None)
+
+    def _show(self, stamp: int) -> None:
+        """Publish what is latched at a moment, and the last state before it."""
+        if self.output is None:
+            return
+        for _, topic, data in self._latched[: bisect.bisect_right(self._latched_times, stamp)]:
+            self.output.publish(topic, data)
+        last: dict[str, bytes] = {}
+        others = [c for c in self._connections if c.topic not in self._latched_names]
+        early = max(self.start, stamp - LOOK_BACK)
+        for connection, _, data in (
+            self._reader.messages(others, start=early, stop=stamp) if others else ()
+        ):
+            last[connection.topic] = bytes(data)
+        for topic, data in last.items():
+            self.output.publish(topic, data)
+
+    # --- playing -------------------------------------------------------------------------------
+
+    def work(self) -> float:
+        """Publish what is due; gives the wall time until which nothing is."""
+        began = self.wall()
+        if self._paused:
+            return began + IDLE
+        if self._next is None:
+            return self._at_end(began)
+        late = (self.now - self._next[0]) / NANOSECONDS / self._rate
+        if late > STALL:
+            # The machine stood still: go on from here, without a burst.
+            self._set(self._next[0])
+        while self._next is not None and self._next[0] <= self.now:
+            self._send()
+            if self.wall() - began > SLICE:
+                return began
+        if self._next is None:
+            return self._at_end(began)
+        wait = (self._next[0] - self.now) / NANOSECONDS / self._rate
+        return self.wall() + min(wait, IDLE)
+
+    def _at_end(self, began: float) -> float:
+        if not self.loop:
+            self.pause()
+            return began + IDLE
+        self.laps += 1
+        self.seek(self.start)
+        return began
+
+    def _send(self) -> None:
+        if self._next is None:
+            return
+        _, topic, data = self._next
+        if self.output is not None:
+            self.output.publish(topic, bytes(data))
+        self._next = next(self._items, None)
+
+    def play_next(self) -> bool:
+        """Publish the next message; only while paused, and not at the end."""
+        if not self._paused or self._next is None:
+            return False
+        self._set(self._next[0])
+        self._send()
+        return True
+
+    def burst(self, count: int) -> int:
+        """Publish so many messages at once, 0 for all that are left; only while paused."""
+        steps = itertools.count() if count == 0 else range(count)
+        return sum(1 for _ in itertools.takewhile(lambda _: self.play_next(), steps))
+
+
+def _latched(connection: Any) -> bool:
+    profiles = getattr(connection.ext, "offered_qos_profiles", ()) or ()
+    return any(p.durability == QosDurability.TRANSIENT_LOCAL for p in profiles)

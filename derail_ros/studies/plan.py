@@ -1,0 +1,481 @@
+"""Study files: a base scenario, what is varied in it, by which design, how often.
+
+The reader is that of scenarios (strict YAML; every mistake is one line with file, line, field and
+reason), and a study is checked to its last point before its first run: whoever starts a night of
+runs learns of a misspelt path at once.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints, ValidationError
+
+from derail_ros.config_path import config_dir
+from derail_ros.scenario import Scenario, ScenarioError, load_scenario
+from derail_ros.scenario import files as scenario_files
+from derail_ros.scenario.messages import did_you_mean, first_mistake
+from derail_ros.scenario.schema import Integer, Label, Number, Section, Switch, Text, Title
+from derail_ros.scenario.strict_yaml import Document, parse
+from derail_ros.studies.measures import DEFAULT_MEASURES, FIELDS, MEASURES
+from derail_ros.studies.orders import is_order
+
+FORMAT_VERSION = 1
+"""Version of the study format."""
+
+MAX_RUNS = 10_000_000
+"""Largest number of runs of a study."""
+
+Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
+Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
+DesignName = Literal["one_at_a_time", "grid", "latin_hypercube", "sobol", "cases"]
+RANDOM = ("latin_hypercube", "sobol")
+"""Designs that draw their points from ranges and distributions."""
+
+
+# --- the format -------------------------------------------------------------------------------
+
+
+class Normal(Section):
+    """Normal, cut off at ``low`` and ``high`` where they are given."""
+
+    mean: Number
+    sd: Number = Field(gt=0)
+    low: Number | None = None
+    high: Number | None = None
+
+
+class Lognormal(Section):
+    """Lognormal, cut off likewise; ``sigma`` is the standard deviation of the logarithm."""
+
+    median: Number = Field(gt=0)
+    sigma: Number = Field(gt=0)
+    low: Number | None = None
+    high: Number | None = None
+
+
+class Triangular(Section):
+    """Triangular."""
+
+    low: Number
+    mode: Number
+    high: Number
+
+
+class Distribution(Section):
+    """Exactly one of the three; for a uniform one give ``range``."""
+
+    normal: Normal | None = None
+    lognormal: Lognormal | None = None
+    triangular: Triangular | None = None
+
+
+class Parameter(Section):
+    """What is varied, and over what.
+
+    What: a dotted ``path`` of the scenario, or ``set`` (several paths; the text ``$value``
+    stands for the value). Over what, exactly one of: ``values``, ``percent`` (of the base
+    scenario's value), ``range`` (with ``steps`` where levels are needed), ``distribution``,
+    ``settings`` (named sets of overrides, such as whole consists) and ``order`` (of the cars).
+    """
+
+    label: Label | None = None
+    unit: Label = ""
+    path: str | None = Field(None, max_length=200)
+    set: dict[str, Any] | None = None
+    values: tuple[Scalar, ...] | None = Field(None, min_length=1, max_length=10_000)
+    percent: tuple[Number, ...] | None = Field(None, min_length=1, max_length=1000)
+    range: tuple[Number, ...] | None = Field(None, min_length=2, max_length=2)
+    steps: Integer | None = Field(None, ge=2, le=10_000)
+    whole: Switch = False
+    distribution: Distribution | None = None
+    settings: dict[Label, dict[str, Any]] | None = Field(None, min_length=1, max_length=1000)
+    order: tuple[str, ...] | None = Field(None, min_length=1, max_length=1000)
+    cars: tuple[Integer, ...] | None = Field(None, min_length=2, max_length=2)
+    base: Scalar | None = None
+
+
+class Column(Section):
+    """A column of the list of cases."""
+
+    label: Label | None = None
+    unit: Label = ""
+
+
+class Case(Section):
+    """A point given in full: its values in the columns, and what it changes."""
+
+    at: dict[str, Scalar] = Field(min_length=1)
+    set: dict[str, Any] = {}
+    order: str | None = None
+
+
+class FigureSpec(Section):
+    """A figure: a measure over a column, a line for each series, a panel for each panel value."""
+
+    x: str
+    y: str
+    series: str | None = None
+    panels: str | None = None
+    title: Title | None = None
+
+
+class StudyModel(Section):
+    """A study."""
+
+    version: Literal[1]
+    title: Title
+    description: Text = ""
+    scenario: str = Field(min_length=1, max_length=400)
+    overrides: dict[str, Any] = {}
+    design: DesignName
+    points: Integer | None = Field(None, ge=2, le=MAX_RUNS)
+    ensemble: Integer = Field(20, ge=1, le=100_000)
+    seed: Integer = Field(0, ge=0, le=2**63)
+    variation: Number = Field(0.04, ge=0, lt=1)
+    parameters: dict[Name, Parameter] = {}
+    columns: dict[Name, Column] = {}
+    cases: tuple[Case, ...] = Field((), max_length=100_000)
+    base: dict[str, Scalar] | None = None
+    measures: tuple[str, ...] = Field(DEFAULT_MEASURES, min_length=1)
+    figures: tuple[FigureSpec, ...] = Field((), max_length=20)
+
+
+# --- a study that was read --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study whose own text is in order; :func:`derail_ros.studies.design.make` checks the rest.
+
+    Attributes
+    ----------
+    name : what it was loaded as
+    model : its fields
+    scenario : the base scenario, its overrides carried out
+    document : its text, for the places of mistakes
+    """
+
+    name: str
+    model: StudyModel
+    scenario: Scenario
+    document: Document
+
+    def error(self, path: tuple[str | int, ...], reason: str) -> ScenarioError:
+        """The error that names the place of ``path`` in the study's file."""
+        return self.document.error(path, reason)
+
+    def label(self, column: str) -> str:
+        """A column in words, with its unit."""
+        owner = self.model.parameters.get(column) or self.model.columns.get(column)
+        if owner is None:
+            return column
+        text = owner.label or column.replace("_", " ")
+        return f"{text} ({owner.unit})" if owner.unit else text
+
+    def changed(self, **changes: Any) -> Study:
+        """The same study with other ``ensemble``, ``seed``, ``variation`` or ``points``."""
+        given = {key: value for key, value in changes.items() if value is not None}
+        if not given:
+            return self
+        document = replace(self.document, data={**self.document.data, **given})
+        return replace(self, model=_validate(document), document=document)
+
+    def with_overrides(self, overrides: Mapping[str, Any]) -> Study:
+        """The same study about another base scenario: ``overrides`` come on top of its own."""
+        if not overrides:
+            return self
+        return replace(self, scenario=self.scenario.with_overrides(overrides))
+
+
+def load_study(name_or_path: str | os.PathLike[str]) -> Study:
+    """Load a study by the name of a shipped one, or from a file.
+
+    Raises
+    ------
+    ScenarioError
+        With the first mistake.
+    """
+    text = os.fspath(name_or_path)
+    if scenario_files.is_path(text):
+        path: FilePath | None = FilePath(text)
+    else:
+        path = scenario_files.find(text, (studies_dir(),))
+    if path is None:
+        known = [path.stem for path in _shipped()]
+        raise ScenarioError(text, None, "", f"unknown study{did_you_mean(text, known)}")
+    content = scenario_files.read_text(path)
+    return _study(path.stem, parse(content, str(path)), path.parent)
+
+
+def loads_study(text: str, name: str = "<inline>") -> Study:
+    """Load a study from YAML text; the scenario it names is a shipped one or a path."""
+    return _study(name, parse(text, name), None)
+
+
+def study_from(data: Mapping[str, Any], name: str = "study") -> Study:
+    """A study from plain data, as a notebook writes it; version and title may be left out."""
+    given = {"version": FORMAT_VERSION, "title": name, **copy.deepcopy(dict(data))}
+    return _study(name, Document(given, f"<{name}>"), None)
+
+
+def list_studies() -> list[tuple[str, str, str]]:
+    """Name, title and size of every shipped study."""
+    found = []
+    for path in _shipped():
+        try:
+            from derail_ros.studies.design import make
+
+            design = make(load_study(path))
+            found.append((path.stem, design.study.model.title, design.size()))
+        except ScenarioError as error:
+            found.append((path.stem, f"(cannot be read: {error})", ""))
+    return found
+
+
+def studies_dir() -> FilePath:
+    """Folder of the shipped studies."""
+    return config_dir() / "studies"
+
+
+def _shipped() -> list[FilePath]:
+    return sorted(path for path in studies_dir().glob("*.yaml"))
+
+
+def _study(name: str, document: Document, folder: FilePath | None) -> Study:
+    if document.data.get("version") != FORMAT_VERSION:
+        reason = f"must be {FORMAT_VERSION}, the version of the study format that is read here"
+        raise document.error(("version",), reason)
+    model = _validate(document)
+    scenario = _base_scenario(model, document, folder)
+    _check(model, document)
+    return Study(name, model, scenario, document)
+
+
+def _validate(document: Document) -> StudyModel:
+    try:
+        return StudyModel.model_validate(document.data)
+    except ValidationError as error:
+        mistake = first_mistake(error, StudyModel)
+        raise document.error(mistake.path, mistake.reason) from None
+
+
+def _base_scenario(model: StudyModel, document: Document, folder: FilePath | None) -> Scenario:
+    name = model.scenario
+    try:
+        if scenario_files.is_path(name):
+            scenario = load_scenario(folder / name if folder else name)
+        else:
+            scenario = load_scenario(name, (folder,) if folder else ())
+    except ScenarioError as error:
+        raise document.error(("scenario",), str(error)) from None
+    if not model.overrides:
+        return scenario
+    try:
+        return scenario.with_overrides(model.overrides)
+    except ScenarioError as error:
+        if error.field in model.overrides:
+            raise document.error(("overrides", error.field), error.reason) from None
+        raise document.error(("overrides",), f"{error.field}: {error.reason}") from None
+
+
+# --- what takes several fields to judge -------------------------------------------------------
+
+SOURCES = ("values", "percent", "range", "distribution", "settings", "order")
+
+
+def _check(model: StudyModel, document: Document) -> None:
+    def refuse(path: tuple[str | int, ...], reason: str) -> None:
+        raise document.error(path, reason)
+
+    if model.design == "cases":
+        if not model.cases or not model.columns:
+            refuse(("design",), "cases needs a list of cases and the columns they fill")
+        if model.parameters:
+            refuse(("parameters",), "do not go with the design cases")
+    else:
+        if not model.parameters:
+            refuse(("parameters",), "is required: nothing is varied")
+        if model.cases or model.columns:
+            refuse(("cases" if model.cases else "columns",), "only goes with the design cases")
+    if model.design in RANDOM and model.points is None:
+        refuse(("points",), f"is required by the design {model.design}")
+    if model.design not in RANDOM and model.points is not None:
+        refuse(("points",), f"the design {model.design} has as many points as its levels make")
+    if model.design == "sobol" and model.points is not None and model.points & (model.points - 1):
+        refuse(("points",), f"must be a power of two for the design sobol, is {model.points}")
+
+    columns = {*model.parameters, *model.columns}
+    for name in columns:
+        if name in RESERVED or name in MEASURES:
+            place = "parameters" if name in model.parameters else "columns"
+            refuse((place, name), "is the name of a column of every table; choose another")
+    for name, parameter in model.parameters.items():
+        _check_parameter(model, name, parameter, refuse)
+    _check_paths(model, refuse)
+    for i, case in enumerate(model.cases):
+        if set(case.at) != set(model.columns):
+            names = ", ".join(model.columns)
+            refuse(("cases", i, "at"), f"must give exactly the columns {names}")
+        if case.order is not None and not is_order(case.order):
+            refuse(("cases", i, "order"), f"unknown order {case.order!r}")
+    for i, measure in enumerate(model.measures):
+        if measure not in MEASURES:
+            refuse(("measures", i), f"unknown measure{did_you_mean(measure, MEASURES)}")
+    if "severity" in model.measures and model.design != "one_at_a_time" and model.base is None:
+        refuse(("measures",), "severity compares with a base: say which point it is in base")
+    for name in model.base or {}:
+        if name not in columns:
+            refuse(("base", name), f"unknown parameter{did_you_mean(name, columns)}")
+    if model.base is not None and model.design in RANDOM:
+        refuse(("base",), f"does not go with the design {model.design}")
+    for i, figure in enumerate(model.figures):
+        for key in ("x", "series", "panels"):
+            column = getattr(figure, key)
+            if column is not None and column not in columns:
+                hint = did_you_mean(column, columns)
+                refuse(("figures", i, key), f"unknown parameter {column!r}{hint}")
+        if figure.y not in MEASURES:
+            refuse(("figures", i, "y"), f"unknown measure{did_you_mean(figure.y, MEASURES)}")
+
+
+SUMMARY_COLUMNS = (
+    *("point", "member", "varied", "measure", "runs", "share", "n", "mean", "mean_low"),
+    *("mean_high", "sd", "q05", "q25", "median", "q75", "q95", "least", "most", "void"),
+    *("failed", "relative", "relative_low", "relative_high"),
+)
+RESERVED = frozenset((*SUMMARY_COLUMNS, *FIELDS))
+"""Names of other columns of the tables."""
+
+
+def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) -> None:
+    place = ("parameters", name)
+    given = [source for source in SOURCES if getattr(p, source) is not None]
+    if len(given) != 1:
+        words = "one of " + ", ".join(SOURCES)
+        refuse(place, f"needs {words}" if not given else f"takes only one of {', '.join(given)}")
+    source = given[0]
+    targets = [target for target in ("path", "set") if getattr(p, target) is not None]
+    if source in ("settings", "order"):
+        if targets:
+            refuse((*place, targets[0]), f"does not go with {source}")
+    elif len(targets) != 1:
+        refuse(place, "needs either path or set: what the values are for")
+    if source == "percent" and p.path is None:
+        refuse((*place, "percent"), "needs a path: the base scenario's value there is 0 %")
+    if p.range is not None and not p.range[0] < p.range[1]:
+        low, high = p.range
+        refuse((*place, "range"), f"is empty: {low:g} is not below {high:g}")
+    if p.steps is not None and p.range is None:
+        refuse((*place, "steps"), "only goes with range")
+    if p.whole and source not in ("range", "distribution", "percent"):
+        refuse((*place, "whole"), f"does not go with {source}")
+    if p.cars is not None and (p.order is None or not 1 <= p.cars[0] < p.cars[1]):
+        refuse((*place, "cars"), "must be the first and the last car of those put in order")
+    if p.set is not None and not _mentions_value(p.set):
+        refuse((*place, "set"), "does not say where $value goes")
+    for key in ("values", "percent", "order"):
+        items = getattr(p, key) or ()
+        if len({(type(item) is bool, item) for item in items}) != len(items):
+            refuse((*place, key), "has the same entry twice")
+    if p.values is not None and len({_kind(v) for v in p.values}) > 1:
+        refuse((*place, "values"), "must be all numbers, all texts or all true and false")
+    for i, order in enumerate(p.order or ()):
+        if not is_order(order):
+            refuse((*place, "order", i), f"unknown order {order!r}")
+    if p.distribution is not None:
+        _check_distribution((*place, "distribution"), p.distribution, refuse)
+    if model.design in ("one_at_a_time", "grid"):
+        if source == "distribution":
+            refuse((*place, source), f"the design {model.design} needs levels; give values")
+        if source == "range" and p.steps is None:
+            refuse((*place, "steps"), f"is required by the design {model.design}")
+    elif p.steps is not None:
+        refuse((*place, "steps"), f"does not go with the design {model.design}")
+    if model.design == "one_at_a_time" and p.set is not None and p.base is None:
+        refuse((*place, "base"), "is required with set: the value that the base scenario has")
+    if p.base is not None and (p.set is None or model.design != "one_at_a_time"):
+        refuse((*place, "base"), "only goes with set in the design one_at_a_time")
+
+
+def _check_distribution(
+    place: tuple[str | int, ...], distribution: Distribution, refuse: Any
+) -> None:
+    kinds = [k for k in ("normal", "lognormal", "triangular") if getattr(distribution, k)]
+    if len(kinds) != 1:
+        refuse(place, "must be one of normal, lognormal and triangular")
+    kind = getattr(distribution, kinds[0])
+    low, high = kind.low, kind.high
+    if low is not None and high is not None and not low < high:
+        refuse((*place, kinds[0]), f"is empty: {low:g} is not below {high:g}")
+    if kinds[0] == "triangular" and not low <= kind.mode <= high:
+        refuse((*place, kinds[0], "mode"), f"must lie between {low:g} and {high:g}")
+    if kinds[0] == "lognormal" and high is not None and high <= 0:
+        refuse((*place, kinds[0], "high"), "must be above 0")
+
+
+def _check_paths(model: StudyModel, refuse: Any) -> None:
+    """No path is varied by two parameters: which would count?"""
+    owner: dict[str, str] = {}
+    for name, p in model.parameters.items():
+        paths = {p.path} if p.path is not None else set(p.set or ())
+        for setting in (p.settings or {}).values():
+            paths |= set(setting)
+        if p.order is not None:
+            paths.add("train.consist")
+        for path in paths:
+            if path in owner:
+                reason = f"varies {path}, which parameter {owner[path]!r} varies too"
+                refuse(("parameters", name), reason)
+        owner.update(dict.fromkeys(paths, name))
+
+
+def _kind(value: Scalar) -> str:
+    if isinstance(value, bool):
+        return "switch"
+    return "text" if isinstance(value, str) else "number"
+
+
+VALUE = "$value"
+
+
+def _mentions_value(template: Any) -> bool:
+    if isinstance(template, Mapping):
+        return any(_mentions_value(v) for v in template.values())
+    if isinstance(template, (list, tuple)):
+        return any(_mentions_value(v) for v in template)
+    return template == VALUE
+
+
+def fill(template: Any, value: Scalar) -> Any:
+    """A template with the value in the places of ``$value``."""
+    if isinstance(template, Mapping):
+        return {key: fill(v, value) for key, v in template.items()}
+    if isinstance(template, (list, tuple)):
+        return [fill(v, value) for v in template]
+    return value if template == VALUE else template
+
+
+def label_of(columns: Mapping[str, Any], study: Study) -> str:
+    """A point's values in words: ``speed 72 km/h, brake delay 10 s``."""
+    parts = []
+    for name, value in columns.items():
+        owner = study.model.parameters.get(name) or study.model.columns.get(name)
+        text = (owner.label if owner is not None else None) or name.replace("_", " ")
+        unit = f" {owner.unit}" if owner is not None and owner.unit else ""
+        parts.append(f"{text} {shown_value(value)}{unit}")
+    return ", ".join(parts)
+
+
+def shown_value(value: Any) -> str:
+    """A parameter's value in a sentence or table."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) < 1e6 or value != int(value) else f"{value:.0f}"
+    return str(value)

@@ -1,0 +1,330 @@
+"""The player node: rosbag2's services, latched topics after a seek, one clock, clean ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from derail_ros.nodes.playback import Playback
+from derail_ros.recording import record_run
+from derail_ros.review.storage import BagError
+from tests.nodes.support import simulation, small
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    """A recording of a small train."""
+    path = tmp_path_factory.mktemp("player") / "small"
+    record_run(simulation(), small(), path, state_rate=20.0, marker_rate=0.0)
+    return path
+
+
+# --- the playback itself, with a wall clock that the test moves ------------------------------
+
+
+class Wall:
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+class Sink:
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, bytes]] = []
+        self.renewed = 0
+
+    def publish(self, topic: str, data: bytes) -> None:
+        self.sent.append((topic, data))
+
+    def renew(self) -> None:
+        self.renewed += 1
+        self.sent.clear()
+
+    def topics(self) -> list[str]:
+        return [topic for topic, _ in self.sent]
+
+
+@pytest.fixture
+def playback(bag):
+    wall, sink = Wall(), Sink()
+    made = Playback(bag, sink, wall)
+    yield made, wall, sink
+    made.close()
+
+
+def go(made: Playback, wall: Wall, seconds: float, step: float = 0.02) -> None:
+    for _ in range(round(seconds / step)):
+        made.work()
+        wall.time += step
+    made.work()
+
+
+def states(sink: Sink) -> list[bytes]:
+    return [data for topic, data in sink.sent if topic == "/train_state"]
+
+
+def test_messages_come_at_their_times(playback) -> None:
+    made, wall, sink = playback
+    assert made.paused
+    go(made, wall, 1.0)
+    assert not sink.sent, "it waits until it is resumed"
+    made.resume()
+    go(made, wall, 1.0)
+    assert len(states(sink)) == pytest.approx(21, abs=1)
+    assert made.now == pytest.approx(made.start + SECOND, abs=1e6)
+
+
+def test_another_rate_plays_faster_from_there_on(playback) -> None:
+    made, wall, sink = playback
+    made.resume()
+    go(made, wall, 1.0)
+    assert made.set_rate(4.0)
+    assert made.rate == 4.0
+    before = made.now
+    go(made, wall, 0.5)
+    assert made.now - before == pytest.approx(2.0 * SECOND, abs=1e6)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
+def test_rates_that_cannot_be_are_refused(playback, rate) -> None:
+    made, _, _ = playback
+    assert not made.set_rate(rate)
+    assert made.rate == 1.0
+
+
+def test_pause_holds_time(playback) -> None:
+    made, wall, _ = playback
+    made.resume()
+    go(made, wall, 0.5)
+    made.pause()
+    before = made.now
+    go(made, wall, 2.0)
+    assert made.now == before
+    made.resume()
+    go(made, wall, 0.5)
+    assert made.now - before == pytest.approx(0.5 * SECOND, abs=1e6)
+
+
+def test_step_by_message_only_while_paused(playback) -> None:
+    made, wall, sink = playback
+    assert made.play_next()
+    assert len(sink.sent) == 1
+    assert made.burst(5) == 5
+    assert len(sink.sent) == 6
+    made.resume()
+    assert not made.play_next()
+    assert made.burst(3) == 0
+
+
+def test_a_burst_of_all_that_are_left(playback) -> None:
+    made, _, sink = playback
+    count = made.burst(0)
+    assert count == len(sink.sent) == made._reader.message_count
+    assert made.finished
+    assert made.burst(0) == 0
+    assert not made.play_next()
+
+
+def test_after_a_seek_latched_topics_and_the_last_state_come_again(playback) -> None:
+    made, wall, sink = playback
+    middle = (made.start + made.end) // 2
+    assert made.seek(middle)
+    topics = set(sink.topics())
+    assert {"/consist", "/track", "/events", "/outcome", "/manifest"} <= topics
+    assert {"/train_state", "/coupler_states", "/energy"} <= topics, "what a display needs"
+    events = sink.topics().count("/events")
+    assert made.seek(made.end)
+    assert sink.topics().count("/events") > events, "all events up to there"
+    assert made.seek(made.start)
+    assert not sink.sent
+    assert made.paused
+
+
+def test_a_seek_plays_what_comes_after_it_and_nothing_twice(playback, bag) -> None:
+    made, _, sink = playback
+    middle = made.start + (made.end - made.start) // 2
+    made.seek(middle)
+    shown = sink.topics().count("/events")
+    made.burst(0)
+    whole = Playback(bag, Sink(), Wall())
+    whole.burst(0)
+    assert sink.topics().count("/events") == whole.output.topics().count("/events")
+    assert shown > 0
+    whole.close()
+
+
+def test_a_seek_outside_is_refused(playback) -> None:
+    made, _, _ = playback
+    before = made.now
+    assert not made.seek(made.start - 1)
+    assert not made.seek(made.end + SECOND)
+    assert made.now == before
+
+
+def test_at_the_end_it_stands_and_resume_begins_again(playback) -> None:
+    made, wall, _ = playback
+    made.set_rate(100.0)
+    made.resume()
+    go(made, wall, 2.0)
+    assert made.finished
+    assert made.paused
+    made.resume()
+    assert not made.finished
+    assert made.now == made.start
+
+
+def test_a_loop_begins_again(playback) -> None:
+    made, wall, sink = playback
+    made.loop = True
+    made.set_rate(100.0)
+    made.resume()
+    go(made, wall, 1.0)
+    assert made.laps >= 1
+    assert not made.finished
+    assert sink.renewed >= 1
+
+
+def test_a_stall_is_not_followed_by_a_burst(playback) -> None:
+    made, wall, sink = playback
+    made.resume()
+    go(made, wall, 0.2)
+    before = len(states(sink))
+    wall.time += 5.0
+    made.work()
+    assert len(states(sink)) - before <= 2
+
+
+def test_a_recording_that_was_cut_off_is_refused(tmp_path, bag) -> None:
+    data = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    with pytest.raises(BagError, match="derail repair"):
+        Playback(tmp_path / "cut.mcap")
+
+
+# --- on a graph ------------------------------------------------------------------------------
+
+
+def on_graph(tmp_path):
+    pytest.importorskip("rclpy")
+    pytest.importorskip("derail_msgs")
+    from derail_msgs import srv
+    from tests.nodes import graph as module
+
+    for name, kind in (
+        ("pause", srv.Pause),
+        ("resume", srv.Resume),
+        ("toggle_paused", srv.TogglePaused),
+        ("is_paused", srv.IsPaused),
+        ("get_rate", srv.GetRate),
+        ("set_rate", srv.SetRate),
+        ("play_next", srv.PlayNext),
+        ("burst", srv.Burst),
+        ("seek", srv.Seek),
+        ("stop", srv.Stop),
+    ):
+        module.SERVICES[name] = kind
+    return module.graph(tmp_path)
+
+
+@pytest.mark.ros
+def test_services_and_topics_on_a_graph(tmp_path, bag) -> None:
+    with on_graph(tmp_path) as made:
+        player = made.start("player", path=bag, start_paused=True, auto_exit=False)
+
+        def ask(service, **fields):
+            return made.ask(service, "/player", **fields)
+
+        heard = made.listen("train_state", "events", "consist", "/clock")
+        made.until(lambda: heard["/clock"], "the clock runs while paused", player)
+        made.until(lambda: ask("play_next").success, "it plays a message", player)
+        assert ask("is_paused").paused
+        assert ask("get_rate").rate == 1.0
+        assert not ask("set_rate", rate=-1.0).success
+        assert ask("set_rate", rate=20.0).success
+        assert ask("burst", num_messages=10).actually_burst == 10
+        ask("resume")
+        made.until(lambda: heard["consist"], "the consist", player)
+        made.until(lambda: len(heard["train_state"]) > 50, "states", player)
+        ask("pause")
+        assert ask("is_paused").paused
+        ask("toggle_paused")
+        made.until(
+            lambda: heard["events"] and heard["events"][-1].kind_name == "run_ended",
+            "the end of the run",
+            player,
+        )
+        consists = len(heard["consist"])
+        heard["events"].clear()
+        from builtin_interfaces.msg import Time
+
+        made.until(lambda: ask("is_paused").paused, "it stands at the end", player)
+        assert ask("seek", time=Time(sec=2)).success
+        made.until(lambda: len(heard["consist"]) > consists, "latched topics again", player)
+        made.until(lambda: heard["events"], "events up to there", player)
+        assert max(e.time for e in heard["events"]) <= 2.0 + 1e-6
+        assert not ask("seek", time=Time(sec=100_000)).success
+        assert ask("stop").return_code == 0
+        assert player.wait() == 0
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_cleanly(tmp_path, bag, number) -> None:
+    with on_graph(tmp_path) as made:
+        player = made.start("player", path=bag, loop=True)
+        heard = made.listen("train_state")
+        made.until(lambda: heard["train_state"], "it plays", player)
+        assert player.end(number) == 0
+        assert "Traceback" not in player.output
+
+
+@pytest.mark.ros
+def test_it_is_never_the_second_publisher_of_the_clock(tmp_path, bag) -> None:
+    with on_graph(tmp_path) as made:
+        first = made.start("player", path=bag, loop=True)
+        made.listen("/clock")
+        made.until(lambda: made.heard["/clock"], "the first one's clock", first)
+        second = made.start("player", "-r", "__ns:=/second", path=bag, loop=True)
+        made.until(lambda: "publishes /clock" in second.output, "the second one gives way")
+        assert made.node.count_publishers("/clock") == 1
+        made.until(lambda: "both will mix" in second.output, "it warns of the mixture")
+
+
+@pytest.mark.ros
+def test_it_ends_when_everything_has_been_played(tmp_path, bag) -> None:
+    with on_graph(tmp_path) as made:
+        player = made.start("player", path=bag, rate=20.0, await_listeners=1)
+        heard = made.listen("train_state", "outcome")
+        assert made.until(lambda: player.process.poll() is not None, "it ends", player)
+        assert player.wait() == 0
+        made.until(lambda: heard["outcome"] and heard["outcome"][-1].is_final, "the outcome")
+        playback = Playback(bag)
+        total = sum(c.msgcount for c in playback._reader.connections if c.topic == "/train_state")
+        playback.close()
+        assert len(heard["train_state"]) == total, "nothing is lost"
+
+
+def test_mistakes_are_told_in_a_line(tmp_path) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("derail_msgs")
+    for arguments, text in (
+        ([], "path: name the recording"),
+        (["-p", f"path:={tmp_path / 'nothing'}"], "no such file"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "derail_ros.nodes.player", "--ros-args", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 1
+        assert text in done.stderr
+        assert "Traceback" not in done.stderr

@@ -1,0 +1,277 @@
+"""The recorder node: whole recordings, nothing missed in silence."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("derail_msgs")
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+
+from derail_ros.nodes.recorder import chosen_topics
+from derail_ros.recording import read_manifest
+from derail_ros.recording.listener import Listener
+from msg_adapters.definitions import deserialize
+from msg_adapters.topics import STATE_TOPICS, TOPICS
+from tests.nodes.graph import graph
+from tests.nodes.support import SMALL
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def scenarios(tmp_path) -> Path:
+    """A folder with a small scenario."""
+    folder = tmp_path / "scenarios"
+    folder.mkdir()
+    (folder / "small.yaml").write_text(SMALL)
+    return folder
+
+
+def contents(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with Reader(bag) as reader:
+        for connection, stamp, data in reader.messages():
+            found.setdefault(connection.topic, []).append((stamp, data))
+    return found
+
+
+def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> None:
+    """The same bytes at the same times on every topic, from the first message to the last."""
+    with graph(tmp_path) as made:
+        heard = made.start("recorder", path=tmp_path / "heard", stop_when_final=True)
+        simulator = made.simulator(
+            ready=False,
+            scenario="small",
+            scenario_dirs=f"['{scenarios}']",
+            speed_factor=20.0,
+            await_listeners=1,
+            auto_exit=True,
+            record=tmp_path / "own",
+        )
+        assert simulator.wait() == 0, simulator.output
+        assert heard.wait() == 0, heard.output
+    assert "no message missed" in heard.output
+    assert "Traceback" not in heard.output + simulator.output
+    first, second = contents(tmp_path / "heard"), contents(tmp_path / "own")
+    for topic in TOPICS.values():
+        name = f"/{topic.name}"
+        if topic.recorded and topic.name != "markers":
+            heard_bytes, own_bytes = first.get(name, []), second.get(name, [])
+            assert len(heard_bytes) == len(own_bytes), name
+            for (_, a), (_, b) in zip(heard_bytes, own_bytes):
+                # On the wire a message is filled up to a multiple of four bytes.
+                assert a[: len(b)] == b and len(a) - len(b) < 4, name
+    for name in STATE_TOPICS:
+        assert [stamp for stamp, _ in first[f"/{name}"]] == [
+            20_000_000 * k for k in range(len(first[f"/{name}"]))
+        ]
+    assert "/markers" in first and "/diagnostics" in first
+    heard_run, own_run = read_manifest(tmp_path / "heard").run, read_manifest(tmp_path / "own").run
+    assert heard_run.run_id == own_run.run_id
+    assert heard_run.scenario == own_run.scenario
+    assert heard_run.status == own_run.status == "at rest"
+    assert heard_run.outcome["derailed_cars"] == own_run.outcome["derailed_cars"]
+
+    # others read it with nothing but the file
+    with (tmp_path / "heard" / "heard.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        topics = {channel.topic for _, channel, _, _ in reader.iter_decoded_messages()}
+    assert topics >= set(first)
+    with Reader(tmp_path / "heard") as reader:
+        qos = {c.topic: c.ext.offered_qos_profiles[0].durability for c in reader.connections}
+        order = [c.topic for c in reader.connections]
+    assert qos["/consist"] is QosDurability.TRANSIENT_LOCAL
+    assert qos["/train_state"] is QosDurability.VOLATILE
+    assert order.index("/outcome") < order.index("/car_poses")
+
+
+@pytest.mark.parametrize(
+    ("number", "storage"),
+    [(signal.SIGINT, "mcap"), (signal.SIGTERM, "mcap"), (signal.SIGTERM, "sqlite3")],
+)
+def test_a_signal_closes_the_recording_whole(tmp_path, number, storage) -> None:
+    with graph(tmp_path) as made:
+        recorder = made.start("recorder", path=tmp_path / "bag", storage=storage)
+        simulator = made.simulator(ready=False, scenario="base_train", await_listeners=1)
+        made.listen("train_state")
+        made.until(lambda: len(made.heard["train_state"]) > 30, "the run goes on", simulator)
+        assert recorder.end(number) == 0, recorder.output
+        assert simulator.end(number) == 0, simulator.output
+    assert "Traceback" not in recorder.output + simulator.output
+    manifest = read_manifest(tmp_path / "bag")
+    assert manifest.messages["/train_state"] >= 20
+    found = contents(tmp_path / "bag")
+    assert {name: len(messages) for name, messages in found.items()} == {
+        name: n for name, n in manifest.messages.items() if n
+    }
+    assert manifest.settings["missed"]["/train_state"]["gaps"] == 0
+
+
+def test_who_comes_late_says_what_it_missed(tmp_path) -> None:
+    with graph(tmp_path) as made:
+        simulator = made.simulator(scenario="base_train", speed_factor=2.0)
+        made.listen("train_state")
+        made.until(lambda: len(made.heard["train_state"]) > 50, "the run goes on", simulator)
+        recorder = made.start(
+            "recorder", path=tmp_path / "bag", topics="[train_state, events, consist]"
+        )
+        size = len(made.heard["train_state"]) + 300
+        made.until(lambda: len(made.heard["train_state"]) > size, "the run goes on", recorder)
+        assert recorder.end() == 0, recorder.output
+    assert "/train_state: 0 messages missed by their numbers" in recorder.output
+    found = contents(tmp_path / "bag")
+    first = found["/train_state"][0][0]
+    assert first > 0
+    # events are kept for those who come late
+    events = [deserialize(data, "derail_msgs/msg/TrainEvent") for _, data in found["/events"]]
+    assert [e.sequence for e in events] == list(range(len(events)))
+
+
+def test_a_place_that_is_taken_is_one_clear_line(tmp_path) -> None:
+    with graph(tmp_path) as made:
+        recorder = made.start("recorder", path=tmp_path)
+        assert recorder.wait() == 1
+        assert recorder.output.strip().splitlines()[-1].startswith("error: ")
+        assert "exists already" in recorder.output and "Traceback" not in recorder.output
+        other = made.start("recorder", path=tmp_path / "x", topics="[nothing]")
+        assert other.wait() == 1 and "no topic 'nothing'" in other.output
+
+
+def test_topics_by_their_names() -> None:
+    assert {t.name for t in chosen_topics([])} == set(TOPICS) - {"/clock"}
+    assert [t.name for t in chosen_topics(["/yard/energy", "clock"])] == ["energy", "/clock"]
+    with pytest.raises(ValueError, match="no topic"):
+        chosen_topics(["speed"])
+
+
+def test_the_demonstration_ends_by_itself(tmp_path, scenarios) -> None:
+    """`make run` with a small train: two nodes, a recording, an outcome, figures."""
+    shutil.copy(scenarios / "small.yaml", tmp_path / "small.yaml")
+    result = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "derail_ros.demo",
+            "curve_derailment",
+            "--speed-factor",
+            "0",
+            "--output",
+            str(tmp_path / "out"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "cars derailed" in result.stdout and "no message missed" in result.stdout
+    for name in ("final_scene.png", "peak_forces.png", "bag/bag.mcap", "bag/manifest.json"):
+        assert (tmp_path / "out" / name).stat().st_size > 0
+
+
+# --- the listener itself, without a graph ----------------------------------------------------
+
+
+def recorded_messages(tmp_path: Path) -> list[tuple[str, int, bytes]]:
+    """Messages of a small run with two resets, as they would come over a graph."""
+    from derail_ros.nodes.core import Settings, SimulatorCore
+    from tests.nodes.support import ready
+    from tests.nodes.test_core import Heard
+
+    heard = Heard()
+    core = SimulatorCore(Settings(speed_factor=0.0, publish_clock=False), heard)
+
+    def step(ticks: int) -> None:
+        core.step_simulation(ticks, lambda _: None)
+        while core._stepping is not None:
+            core.work()
+
+    core.load(ready(), {}, start_paused=True)
+    step(100)
+    core.reset(0)
+    step(100)
+    core.reset(1)
+    step(50)
+    return heard.raw
+
+
+def test_lost_messages_are_counted_both_ways(tmp_path) -> None:
+    topics = {f"/{t.name.lstrip('/')}": t for t in chosen_topics([])}
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    numbers: dict[str, int] = {}
+    for name, data in recorded_messages(tmp_path):
+        full = f"/{name.lstrip('/')}"
+        numbers[full] = numbers.get(full, 0) + 1
+        if name == "train_state" and 10 <= numbers[full] < 13:
+            continue
+        info = {
+            "publication_sequence_number": numbers[full],
+            "publisher_gid": {"data": b"one"},
+        }
+        listener.take(full, data, info)
+    listener.close()
+    missed = read_manifest(tmp_path / "bag").settings["missed"]
+    assert missed["/train_state"]["lost"] == 3 and missed["/train_state"]["gaps"] == 3
+    assert missed["/energy"]["lost"] == missed["/energy"]["gaps"] == 0
+
+
+def test_time_that_begins_anew_begins_a_new_file(tmp_path) -> None:
+    topics = {f"/{t.name.lstrip('/')}": t for t in chosen_topics([])}
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    for name, data in recorded_messages(tmp_path):
+        listener.take(f"/{name.lstrip('/')}", data, {})
+    listener.close()
+    assert [p.name for p in listener.closed] == ["bag", "bag_1"]
+    first, second = read_manifest(tmp_path / "bag"), read_manifest(tmp_path / "bag_1")
+    assert first.messages["/train_state"] == 202
+    assert second.messages["/train_state"] == 51
+    assert first.settings["missed"]["/train_state"]["gaps"] == 0
+    for place in ("bag", "bag_1"):
+        with Reader(tmp_path / place) as reader:
+            stamps = [
+                stamp
+                for connection, stamp, _ in reader.messages()
+                if connection.topic == "/train_state"
+            ]
+        assert stamps == [20_000_000 * k for k in range(len(stamps))]
+    assert first.messages["/consist"] == 2 and second.messages["/consist"] == 1
+    assert [run.status for run in first.runs] == ["stopped", "stopped"]
+    events = [
+        deserialize(d, TOPICS["events"].msgtype)
+        for _, d in contents(tmp_path / "bag_1")["/events"]
+    ]
+    assert events[0].kind_name == "run_reset"
+    assert [e.sequence for e in events] == list(range(len(events)))
+
+
+def test_topics_in_any_order_go_into_the_right_file(tmp_path) -> None:
+    """Topics have no order among each other: here each comes as a whole, the states last."""
+    topics = {f"/{t.name.lstrip('/')}": t for t in chosen_topics([])}
+    messages = recorded_messages(tmp_path)
+    by_topic = sorted(messages, key=lambda m: (m[0] in STATE_TOPICS, m[0]))
+    before = messages[: len(messages) // 2]
+    after = [m for m in by_topic if m not in before]
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    for name, data in before + after:
+        listener.take(f"/{name.lstrip('/')}", data, {})
+    listener.close()
+    first, second = read_manifest(tmp_path / "bag"), read_manifest(tmp_path / "bag_1")
+    runs = [run.run_id for run in first.runs], [run.run_id for run in second.runs]
+    assert len(runs[0]) == 2 and len(runs[1]) == 1
+    for place, ids in zip(("bag", "bag_1"), runs):
+        for name, found in contents(tmp_path / place).items():
+            if name.lstrip("/") in TOPICS and TOPICS[name.lstrip("/")].msgtype.startswith(
+                "derail"
+            ):
+                kind = TOPICS[name.lstrip("/")].msgtype
+                assert {deserialize(d, kind).run_id for _, d in found} <= set(ids), name
