@@ -1,0 +1,94 @@
+"""Recordings for the tests of reviewing, and a browser for those of the replay page."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from derail_ros.recording import record_run
+from derail_ros.review.bag import Run, read_bag
+from tests.nodes.support import simulation, small
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+DRIVERS = ("chromedriver", "chromium.chromedriver")
+_unchecked: list[str] = []
+
+
+def find_browser() -> tuple[str, str] | str:
+    """Paths of a browser and its driver, or what is missing."""
+    try:
+        import selenium  # noqa: F401
+    except ImportError:
+        return "selenium is not installed"
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    driver = next(filter(None, map(shutil.which, DRIVERS)), None)
+    if browser is None or driver is None:
+        return "no Chromium with chromedriver (Debian: apt-get install chromium chromium-driver)"
+    return browser, driver
+
+
+def start_browser(*arguments: str, size: tuple[int, int] = (1300, 950)) -> Any:
+    """A headless browser; the test that asks for it is skipped, loudly, where there is none."""
+    found = find_browser()
+    if isinstance(found, str):
+        _unchecked.append(found)
+        pytest.skip(f"THE REPLAY PAGE IS NOT CHECKED: {found}")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options = Options()
+    options.binary_location = found[0]
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--force-device-scale-factor=1",
+        f"--window-size={size[0]},{size[1]}",
+        *arguments,
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    return webdriver.Chrome(options=options, service=Service(found[1]))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say it where nobody can overlook it."""
+    if _unchecked:
+        terminalreporter.section("THE REPLAY PAGE WAS NOT CHECKED", sep="!", red=True, bold=True)
+        terminalreporter.line(f"{_unchecked[0]}; `make verify` fails without it.", red=True)
+
+
+@pytest.fixture(scope="session")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of ten cars over a broken rail."""
+    path = tmp_path_factory.mktemp("bags") / "small"
+    record_run(simulation(), small(), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def sqlite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same in the other storage."""
+    path = tmp_path_factory.mktemp("bags") / "small_sqlite"
+    record_run(simulation(), small(), path, storage="sqlite3")
+    return path
+
+
+@pytest.fixture(scope="session")
+def run(bag: Path) -> Run:
+    """The recording as arrays."""
+    return read_bag(bag)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless browser."""
+    driver = start_browser()
+    yield driver
+    driver.quit()
