@@ -1,0 +1,122 @@
+"""One table: what is declared, checked, shipped and documented is the same."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from derail_ros.nodes.core import Settings
+from derail_ros.nodes.parameters import (
+    NODES,
+    RECORDER,
+    SIMULATOR,
+    Parameter,
+    descriptor,
+    generated,
+    parameter_table,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+BY_NAME = {p.name: p for p in SIMULATOR}
+
+
+def test_the_generated_files_are_current() -> None:
+    for path, text in generated(ROOT).items():
+        assert path.read_text() == text, "run: python -m derail_ros.nodes.parameters"
+
+
+def test_the_parameter_file_sets_every_default() -> None:
+    data = yaml.safe_load((ROOT / "config" / "simulator.yaml").read_text())
+    values = data["/**"]["ros__parameters"]
+    expected = {p.name: p.default for p in SIMULATOR if p.default != []}
+    assert values == expected
+    assert {name: type(value) for name, value in values.items()} == {
+        name: type(value) for name, value in expected.items()
+    }
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_parameter_is_documented_and_its_default_allowed(node) -> None:
+    names = [p.name for p in NODES[node]]
+    assert len(set(names)) == len(names)
+    table = parameter_table(node)
+    for parameter in NODES[node]:
+        assert parameter.check(parameter.default) == parameter.default
+        assert parameter.description and f"`{parameter.name}`" in table
+        if parameter.type_name in ("double", "integer"):
+            assert parameter.unit and math.isfinite(parameter.low)
+
+
+def test_the_interface_asks_for_at_least_these() -> None:
+    wanted = {
+        "scenario",
+        "scenario_dirs",
+        "speed_factor",
+        "state_rate",
+        "marker_rate",
+        "publish_clock",
+        "clock_rate",
+        "start_paused",
+        "auto_exit",
+        "allow_quit",
+        "record",
+        "frame_id",
+    }
+    assert wanted <= set(BY_NAME)
+    assert all(BY_NAME[n].read_only for n in ("scenario_dirs", "record", "frame_id"))
+    assert BY_NAME["allow_quit"].default is False
+
+
+def test_the_core_starts_with_the_same_defaults() -> None:
+    settings = Settings()
+    for name in ("speed_factor", "state_rate", "marker_rate", "clock_rate", "allow_quit"):
+        assert getattr(settings, name) == BY_NAME[name].default
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("speed_factor", -0.1, "speed_factor: must be 0 to 1000, not -0.1"),
+        ("speed_factor", math.nan, "speed_factor: must be a finite number"),
+        ("speed_factor", True, "speed_factor: must be of type double, not True"),
+        ("speed_factor", "1", "speed_factor: must be of type double, not '1'"),
+        ("state_rate", 0, "state_rate: must be 1 to 1000 Hz, not 0"),
+        ("auto_exit", 1, "auto_exit: must be of type bool, not 1"),
+        ("scenario", 3, "scenario: must be of type string, not 3"),
+        ("scenario_dirs", "x", "scenario_dirs: must be a list of strings"),
+        ("scenario_dirs", [1], "scenario_dirs: must be a list of strings"),
+        ("record_storage", "hdf5", "record_storage: must be one of mcap, sqlite3"),
+        ("await_listeners", 1.5, "await_listeners: must be of type integer"),
+    ],
+)
+def test_a_value_that_will_not_do_is_refused_with_its_reason(name, value, reason) -> None:
+    with pytest.raises(ValueError) as caught:
+        BY_NAME[name].check(value)
+    assert reason in str(caught.value)
+
+
+def test_a_whole_number_is_a_double_too() -> None:
+    value = BY_NAME["speed_factor"].check(3)
+    assert value == 3.0 and type(value) is float
+
+
+def test_ranges_in_words() -> None:
+    assert Parameter("x", 1.0, "d", low=0.0).range == "from 0 up"
+    assert Parameter("x", 1.0, "d", low=0.0, high=2.0).range == "0 to 2"
+    assert Parameter("x", "a", "d", choices=("a", "b")).range == "a, b"
+    assert Parameter("x", True, "d").range == ""
+
+
+@pytest.mark.ros
+def test_descriptors_carry_the_table() -> None:
+    pytest.importorskip("rcl_interfaces")
+    for parameter in (*SIMULATOR, *RECORDER):
+        told = descriptor(parameter)
+        assert told.name == parameter.name and told.read_only == parameter.read_only
+        ranges = [*told.floating_point_range, *told.integer_range]
+        assert len(ranges) == (parameter.type_name in ("double", "integer"))
+        for limits in ranges:
+            assert (limits.from_value, limits.to_value) == (parameter.low, parameter.high)
