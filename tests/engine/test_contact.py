@@ -205,6 +205,20 @@ def test_a_virtual_body_never_collides():
     assert start(real, q, np.zeros((2, 5))).sample().collision_force[0, 0] > 1e6
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("dy", [-1e-6, -1e-9, -5e-10, 0.0, 5e-10, 1e-9, 1e-6])
+def test_the_force_is_continuous_at_the_end_of_a_wall(dy, swapped):
+    # a corner of the turned car opposite the end of the other's front wall
+    yaw = 0.25 * math.pi
+    c = s = math.sqrt(0.5)
+    tip = min((c * u - s * w, s * u + c * w) for u in (A, -A) for w in (B, -B))
+    poses = [(A + 0.05 - tip[0], B + dy - tip[1], yaw), (0.0, 0.0, 0.0)]
+    q = coordinates(poses[::-1] if swapped else poses)
+    sample = place(TWINS_RUN, q, np.zeros((2, 5))).sample()
+    force = sample.collision_force[1 if swapped else 0]
+    assert force == pytest.approx([bell(0.05), 0.0], abs=1e-3 * bell(0.05))
+
+
 # At the edge of the buffer ---------------------------------------------------------------------
 
 # half of F_max at the edge, so that a touch cannot be overlooked

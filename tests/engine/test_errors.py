@@ -29,7 +29,7 @@ from derail_ros.engine import (
     TrackSegment,
     serial,
 )
-from tests.engine.support import make_car, make_train, start, with_integration
+from tests.engine.support import free_train, make_car, make_train, start, with_integration
 
 BASE = make_train(
     (make_car(0), make_car(1), make_car(2)),
@@ -386,13 +386,27 @@ def test_a_step_below_the_floor():
     ids=["force", "kick", "brakes"],
 )
 def test_a_state_that_is_no_longer_finite(params):
-    run = Simulation(params)
-    with pytest.raises((NonFiniteStateError, StepSizeError)):
-        run.advance_to(1.0)
-    s = run.sample()
-    assert np.isfinite(s.q).all()
-    assert np.isfinite(s.v).all()
-    Simulation.from_bytes(run.to_bytes())
+    run = failing(params, NonFiniteStateError)
+    assert run.step_count == 0
+
+
+def test_a_share_of_the_buffer_that_would_miss_pairs():
+    # a car runs into a standing one; steps of any length up to the given share are allowed
+    q, v = np.zeros((2, 5)), np.zeros((2, 5))
+    q[1, :2], v[1, 0] = (-19.5, 0.2), 8.0
+
+    def peak(share):
+        params = free_train(2, parted=(1,), speed=0.0)
+        run = start(with_integration(params, buffer_fraction=share), q, v)
+        run.advance_to(1.5)
+        return run.collisions[0].peak_corner_force
+
+    exact = peak(0.2)
+    for share in (1.0, 3.0, 10.0):
+        try:
+            assert peak(share) == pytest.approx(exact, rel=0.2)
+        except ParameterError as error:
+            assert error.field == "integration.buffer_fraction"
 
 
 # Saved states ----------------------------------------------------------------------------------
