@@ -1,0 +1,376 @@
+"""Summary, figures, tables, comparisons, films: what comes out of a recording."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from derail_ros import cli
+from derail_ros.review import comparison, figures, histories, plots, summary, words
+from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag
+from msg_adapters.definitions import deserialize
+
+
+def refuses(text: str, arguments: list[str], capsys) -> None:
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err.strip()
+    assert error.startswith("derail: ")
+    assert text in error
+    assert "\n" not in error
+
+
+# --- words and summary -----------------------------------------------------------------------
+
+
+def test_the_summary_holds_what_the_recording_does(run: Run) -> None:
+    facts = summary.findings(run)
+    json.dumps(facts, allow_nan=False)
+    assert facts["outcome"]["derailed_cars"] == list(run.result.derailed)
+    assert facts["outcome"]["peak_force_N"] == run.result.peak_force
+    assert len(facts["collisions"]) == len(run.contacts)
+    forces = [c["peak_force_N"] for c in facts["collisions"]]
+    assert forces == sorted(forces, reverse=True)
+    assert forces[0] == pytest.approx(run.result.peak_force)
+    for car in facts["cars"]:
+        i = car["car"] - 1
+        assert (car["derailed"] is not None) == (car["car"] in run.result.derailed)
+        if car["derailed"]:
+            assert car["derailed"]["time_s"] == run.result.derail_time[i]
+        assert car["parted_rear"] is None or not run.coupled[-1, i]
+        struck = [c for c in run.contacts if car["car"] in (c.car_a, c.car_b)]
+        assert len(car["struck"]) == len(struck)
+
+
+def test_the_timeline_is_in_order_and_leaves_nothing_out(run: Run) -> None:
+    line = summary.timeline(run)
+    times = [e["time_s"] for e in line]
+    assert times == sorted(times)
+    for kind in ("truck_derailed", "coupler_parted", "rail_break_set", "run_ended"):
+        there = sum(e["kind"] == kind for e in line)
+        assert there == sum(e.kind == kind for e in run.events), kind
+    hard = [c for c in run.contacts if c.peak_force >= summary.NOTABLE]
+    assert sum(e["kind"] == "collision" for e in line) == len(hard)
+    rested = {c for e in line if e["kind"] == "car_at_rest" for c in e["cars"]}
+    assert rested == {e.cars[0] for e in run.events if e.kind == "car_at_rest"}
+
+
+def test_shares_of_the_energy_add_up(run: Run) -> None:
+    taken = sum(share for *_, share in words.shares(run))
+    left = run.energy["kinetic"][-1] + run.energy["striker_elastic"][-1]
+    left += run.energy["knuckle_elastic"][-1] - run.energy["work_external"][-1]
+    assert taken + left / run.energy["initial"][0] == pytest.approx(1.0, abs=1e-3)
+    assert "the brakes" in words.stopped_by(run)
+
+
+def test_plain_words(run: Run) -> None:
+    assert words.number_list([1, 2, 3, 5, 7, 8]) == "1 to 3, 5, 7, 8"
+    assert words.number_list([]) == "none"
+    assert words.force(27.5e6) == "27.5 MN"
+    assert words.force(3.4e5) == "340 kN"
+    assert words.energy(1.79e9) == "1.79 GJ"
+    assert words.energy(12_300.0) == "12.3 kJ"
+    assert words.speed(25.0) == "25.0 m/s (90 km/h)"
+    for e in run.events:
+        text = words.event(e)
+        assert text
+        assert "nan" not in text
+    text = summary.text(run)
+    assert "nan" not in text
+    for car in run.result.derailed:
+        assert f"Car {car}" in text
+
+
+def test_a_quiet_run_can_be_told_and_drawn(run: Run, tmp_path: Path) -> None:
+    """Nothing derails, nothing collides, no ledger: still a summary and figures."""
+    calm = replace(
+        run,
+        events=(),
+        contacts=(),
+        energy={},
+        truck_on=np.ones_like(run.truck_on),
+        coupled=np.ones_like(run.coupled),
+        result=replace(
+            run.result,
+            derailed=(),
+            peak_force=0.0,
+            peak_pair=(0, 0),
+            peak_time=math.nan,
+            car_peak=np.zeros(run.n),
+            car_peak_other=np.zeros(run.n, dtype=np.int64),
+            car_peak_time=np.full(run.n, np.nan),
+            derail_time=np.full(run.n, np.nan),
+            above_5MN=(),
+            above_10MN=(),
+            rear_car=0,
+        ),
+    )
+    facts = summary.findings(calm)
+    assert "No car derailed" in summary.text(calm, facts)
+    for figure in (plots.speeds(calm), plots.space_time(calm), plots.peak_forces(calm)):
+        figures.save(figure, tmp_path / "figure.png", dpi=50)
+    assert plots.energy_over_time(calm) is None
+    assert plots.main_collisions(calm) == []
+
+
+def test_labels_are_pushed_apart_and_keep_their_order() -> None:
+    places = plots._apart([0.0, 0.1, 0.15, 5.0, 5.0, 5.0], 1.0)
+    assert all(b - a >= 1.0 - 1e-9 for a, b in zip(places[:-1], places[1:]))
+    assert np.mean(places[:3]) == pytest.approx(np.mean([0.0, 0.1, 0.15]))
+
+
+# --- the commands ----------------------------------------------------------------------------
+
+
+def test_review_writes_everything(bag, run, tmp_path, capsys) -> None:
+    from PIL import Image
+
+    out = tmp_path / "review"
+    assert cli.main(["review", str(bag), "-o", str(out)]) == 0
+    assert words.stopped_by(run) in capsys.readouterr().out
+    names = {p.name for p in out.iterdir()}
+    wanted = {"summary.txt", "summary.json", "replay.html", "final_scene.png", "peak_forces.png"}
+    wanted |= {"speeds.png", "energy.png", "space_time.png", "collision_1.png"}
+    assert wanted <= names
+    facts = json.loads((out / "summary.json").read_text())
+    assert facts["format"] == "derail_ros/review"
+    for path in out.glob("*.png"):
+        image = np.asarray(Image.open(path).convert("L"))
+        assert image.std() > 5.0, f"{path.name} is empty"
+    refuses("is not empty", ["review", str(bag), "-o", str(out)], capsys)
+
+
+def test_review_as_json(bag, tmp_path, capsys) -> None:
+    arguments = ["review", str(bag), "-o", str(tmp_path / "r"), "--json"]
+    assert cli.main([*arguments, "--no-figures", "--no-replay"]) == 0
+    assert json.loads(capsys.readouterr().out)["version"] == 1
+    assert {p.name for p in (tmp_path / "r").iterdir()} == {"summary.txt", "summary.json"}
+
+
+@pytest.mark.parametrize("command", ["review", "export", "animate", "compare", "repair", "play"])
+def test_mistakes_are_told_in_a_line(command, tmp_path, capsys) -> None:
+    place = str(tmp_path / "nothing")
+    more = {
+        "review": ["-o", str(tmp_path / "x")],
+        "export": ["-o", str(tmp_path / "x")],
+        "animate": ["-o", str(tmp_path / "x.gif")],
+        "compare": [place],
+    }.get(command, [])
+    refuses("no such file or folder", [command, place, *more], capsys)
+    assert not (tmp_path / "x").exists()
+
+
+# --- export ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) -> None:
+    out = tmp_path / "tables"
+    assert cli.main(["export", str(bag), "-o", str(out), "--format", form]) == 0
+    tables = {}
+    for path in out.iterdir():
+        if form == "csv":
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+            tables[path.stem] = {k: [r[k] for r in rows] for k in rows[0]}
+        else:
+            parquet = pytest.importorskip("pyarrow.parquet")
+            tables[path.stem] = parquet.read_table(path).to_pydict()
+    assert set(tables) == {
+        "cars",
+        "strikers",
+        "couplings",
+        "energy",
+        "collisions",
+        "events",
+        "consist",
+    }
+    cars, couplings = tables["cars"], tables["couplings"]
+    assert len(cars["time_s"]) == len(run.time) * run.n
+    assert len(couplings["time_s"]) == len(run.time) * (run.n - 1)
+    assert len(tables["events"]["time_s"]) == len(run.events)
+    k = 0
+    with Reader(bag) as reader:
+        chosen = [c for c in reader.connections if c.topic == "/train_state"]
+        for _, _, data in list(reader.messages(chosen))[::40]:
+            m = deserialize(data, "derail_msgs/msg/TrainState")
+            row = next(i for i, t in enumerate(cars["time_s"]) if float(t) == m.time)
+            for field, name in histories.STATE_COLUMNS:
+                for i in range(run.n):
+                    assert float(cars[name][row + i]) == float(getattr(m, field)[i]), name
+            k += 1
+    assert k > 5
+    assert float(tables["energy"]["kinetic_J"][-1]) == run.energy["kinetic"][-1]
+    hardest = summary.by_severity(run)[0]
+    assert float(tables["collisions"]["peak_corner_force_N"][0]) == hardest.peak_force
+
+
+def test_every_field_of_the_states_is_exported() -> None:
+    from msg_adapters.definitions import field_names
+
+    exported = {f for f, _ in histories.STATE_COLUMNS} | {"corner_force"}
+    left_out = {"corner_gap", "corner_closing_speed", "corner_other_car"}
+    known = {"header", "run_id", "step", "time"}
+    assert set(field_names("derail_msgs/msg/TrainState")) == exported | left_out | known
+    exported = {f for f, _ in (*histories.COUPLING_COLUMNS, *histories.STRIKER_COLUMNS)}
+    assert set(field_names("derail_msgs/msg/CouplerStates")) == exported | known
+    ledger = set(field_names("derail_msgs/msg/EnergyLedger"))
+    assert ledger - known - {"residual_relative"} == set(ENERGY_ENTRIES)
+
+
+def test_columns_have_their_units() -> None:
+    unitless = {"car", "coupled", "truck_front_on_rails", "truck_rear_on_rails"}
+    units = ("_m", "_rad", "_m_s", "_rad_s", "_m_s2", "_rad_s2", "_N", "_N_m", "_J", "_s", "_kg")
+    names = [n for _, n in (*histories.STATE_COLUMNS, *histories.COUPLING_COLUMNS)]
+    names += [n for _, n in (*histories.CORNER_COLUMNS, *histories.STRIKER_COLUMNS)]
+    for name in names:
+        assert name in unitless or name.endswith(units), name
+
+
+def test_texts_that_look_like_formulas_stay_texts(run, tmp_path) -> None:
+    cars = replace(run.cars, name=("=1+1", "@x", *run.cars.name[2:]))
+    histories.export(replace(run, cars=cars), tmp_path, "csv")
+    with (tmp_path / "consist.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [r["name"] for r in rows[:2]] == ["'=1+1", "'@x"]
+
+
+def test_another_format_is_refused(bag, tmp_path, capsys) -> None:
+    arguments = ["export", str(bag), "-o", str(tmp_path / "x"), "--format", "xls"]
+    refuses("csv or parquet", arguments, capsys)
+
+
+# --- compare ---------------------------------------------------------------------------------
+
+
+def test_a_run_is_the_same_as_itself(run) -> None:
+    facts = comparison.compare(run, run)
+    assert facts["same_events"]
+    assert facts["first_difference_s"] is None
+    assert not facts["settings"]
+    assert "the same to the bit" in comparison.text(facts)
+
+
+def test_differences_are_found(run, tmp_path) -> None:
+    k, parted = next((k, e) for k, e in enumerate(run.events) if e.kind == "coupler_parted")
+    others = [e for i, e in enumerate(run.events) if i != k]
+    j = next(i for i, e in enumerate(others) if e.kind == "truck_derailed" and e.time > 0.5)
+    later = replace(others[j], time=others[j].time + 0.25)
+    others[j] = later
+    scenario = {**run.scenario, "title": "another"}
+    other = replace(
+        run,
+        events=tuple(others),
+        scenario=scenario,
+        title="another",
+        result=replace(run.result, derailed=run.result.derailed[:-1]),
+    )
+    facts = comparison.compare(run, other)
+    json.dumps(facts, allow_nan=False)
+    assert not facts["same_events"]
+    assert [e["cars"] for e in facts["events_only_in_first"]] == [list(parted.cars)]
+    assert facts["events_at_other_times"][0]["difference_s"] == pytest.approx(0.25)
+    assert facts["first_difference_s"] == pytest.approx(min(parted.time, later.time - 0.25))
+    assert facts["derailed_only_in_first"] == [run.result.derailed[-1]]
+    assert facts["settings"] == [
+        {"path": "title", "first": run.scenario["title"], "second": "another"}
+    ]
+    figures.save(comparison.scenes(run, other), tmp_path / "scenes.png", dpi=50)
+
+
+def test_compare_command(bag, sqlite_bag, tmp_path, capsys) -> None:
+    out = tmp_path / "compared"
+    assert cli.main(["compare", str(bag), str(sqlite_bag), "-o", str(out)]) == 0
+    assert "same to the bit" in capsys.readouterr().out
+    names = {p.name for p in out.iterdir()}
+    assert names == {"comparison.txt", "comparison.json", "scenes.png"}
+
+
+# --- films -----------------------------------------------------------------------------------
+
+
+def test_a_gif_has_its_pictures(bag, tmp_path) -> None:
+    from PIL import Image
+
+    path = tmp_path / "film.gif"
+    arguments = ["animate", str(bag), "-o", str(path), "--start", "2", "--end", "4"]
+    assert cli.main([*arguments, "--fps", "5", "--width", "480"]) == 0
+    with Image.open(path) as film:
+        assert film.n_frames == 11
+        assert film.size[0] == 480
+        assert film.info["duration"] == 200
+        first = np.asarray(film.convert("L"))
+        film.seek(10)
+        assert np.abs(np.asarray(film.convert("L")).astype(int) - first).max() > 50
+
+
+def test_an_mp4_has_its_pictures(bag, tmp_path) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "film.mp4"
+    arguments = ["animate", str(bag), "-o", str(path), "--start", "2", "--end", "4"]
+    assert cli.main([*arguments, "--fps", "10", "--width", "480", "--rate", "2"]) == 0
+    reader = imageio_ffmpeg.read_frames(str(path))
+    about = next(reader)
+    assert about["size"][0] == 480
+    assert sum(1 for _ in reader) == 11
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["-o", "film.avi"], ".mp4 or .gif"),
+        (["-o", "film.gif", "--start", "1e6"], "nothing between"),
+        (["-o", "film.gif", "--rate", "0"], "above zero"),
+        (["-o", "film.gif", "--rate", "1e-6"], "too many"),
+    ],
+)
+def test_films_that_cannot_be(bag, tmp_path, monkeypatch, capsys, arguments, text) -> None:
+    monkeypatch.chdir(tmp_path)
+    refuses(text, ["animate", str(bag), *arguments], capsys)
+    assert not list(tmp_path.iterdir())
+
+
+# --- a large recording -----------------------------------------------------------------------
+
+MEASURE = """
+import resource, sys, time
+from derail_ros import cli
+began = time.monotonic()
+assert cli.main(["review", sys.argv[1], "-o", sys.argv[2]]) == 0
+used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(f"{time.monotonic() - began:.1f} {used:.0f}", file=sys.stderr)
+"""
+
+
+@pytest.mark.slow
+def test_100_mb_are_reviewed_in_a_minute_and_500_mb(tmp_path) -> None:
+    import subprocess
+    import sys
+
+    from derail_ros.engine import Simulation
+    from derail_ros.recording import record_run
+    from derail_ros.scenario import load_scenario
+
+    scenario = load_scenario("mississauga")
+    path = tmp_path / "large"
+    record_run(Simulation(scenario.to_params()), scenario, path, state_rate=480.0)
+    size = sum(f.stat().st_size for f in path.iterdir()) / 1e6
+    assert size > 95.0
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE, str(path), str(tmp_path / "review")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    seconds, megabytes = map(float, done.stderr.strip().splitlines()[-1].split())
+    assert seconds < 60.0
+    assert megabytes < 500.0
+    whole = read_bag(path)
+    assert whole.result.final
