@@ -86,7 +86,7 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
         return future
 
     first = [f for f in (submit() for _ in range(_width(client, jobs))) if f is not None]
-    flying = as_completed(first, with_results=True, raise_errors=False)
+    flying = as_completed(first, client.loop, with_results=True, raise_errors=False)
     for future, value in flying:
         index, run = sent.pop(future.key)
         if future.status == "cancelled" or isinstance(value, CancelledError):

@@ -116,6 +116,9 @@ def _default_specs(results: StudyResults) -> list[FigureSpec]:
 def _figure(height: float, width: float = WIDTH) -> Figure:
     figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(h_pad=0.09, w_pad=0.06)  # type: ignore[call-arg]
     return figure
 
 

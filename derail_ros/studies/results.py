@@ -82,10 +82,10 @@ class StudyResults:
         table = self.table[~self.table["status"].isin(["failed", "void"])].copy()
         if self.base is None:
             return table
-        base = table[table["point"] == self.base]
-        means = [float(base[key].mean()) if len(base) else np.nan for key in BASE_MEASURES]
+        n, f, a = (table[key].to_numpy(dtype=float, na_value=np.nan) for key in BASE_MEASURES)
+        base = (table["point"] == self.base).to_numpy()
+        means = [float(v[base].mean()) if base.any() else np.nan for v in (n, f, a)]
         if all(np.isfinite(means)) and min(means) > 0.0:
-            n, f, a = (table[key].to_numpy(dtype=float) for key in BASE_MEASURES)
             table["severity"] = severity_index(n, f, a, *means)
         return table
 

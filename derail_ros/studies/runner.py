@@ -353,5 +353,5 @@ def read_table(folder: str | os.PathLike[str]) -> pandas.DataFrame:
         raise StudyError(f"{path}: cannot be read: {error}") from None
     for name in (*TEXTS, "varied"):
         if name in table:
-            table[name] = table[name].fillna("").astype(str)
+            table[name] = table[name].astype(object).where(table[name].notna(), "").astype(str)
     return table

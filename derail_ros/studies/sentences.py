@@ -187,6 +187,12 @@ def _not_told(results: StudyResults, measure: str) -> list[str]:
     return found
 
 
+def _round(n: int) -> int:
+    """Two digits are all that such an estimate has."""
+    digits = max(0, len(str(n)) - 2)
+    return int(round(n, -digits))
+
+
 def _cannot(
     results: StudyResults,
     measure: str,
@@ -216,7 +222,7 @@ def _cannot(
     text += f" {unit}" if unit else ""
     needed = statistics.runs_needed(groups[least], groups[most])
     if needed is not None and needed > n:
-        text += f"; a difference as large as that would take about {needed} runs a point"
+        text += f"; a difference as large as that would take about {_round(needed)} runs a point"
     return text + ")."
 
 

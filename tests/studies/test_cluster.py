@@ -1,0 +1,99 @@
+"""The same study on a Dask cluster."""
+
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from derail_ros.studies.cluster import ClusterError, on_cluster
+from derail_ros.studies.results import StudyResults
+from derail_ros.studies.runner import run_study
+
+
+def test_no_scheduler_is_said(load, folder, monkeypatch):
+    monkeypatch.setattr("derail_ros.studies.cluster.CONNECT_S", 0.5)
+    with pytest.raises(ClusterError, match="no scheduler answers at tcp://127.0.0.1:9"):
+        run_study(load(), folder / "out", run=on_cluster("tcp://127.0.0.1:9"))
+
+
+STUDY = """\
+version: 1
+title: A study for a cluster
+scenario: small
+design: grid
+ensemble: 10
+parameters:
+  speed: {path: train.speed_kmh, values: [15, 20, 25]}
+  ground: {path: ground.scale, values: [0.8, 1.2]}
+"""
+
+
+@pytest.fixture
+def cluster():
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        host="127.0.0.1",
+    ) as cluster:
+        yield cluster
+
+
+@pytest.mark.slow
+def test_a_worker_is_killed_midway(load, folder, cluster):
+    study = load(STUDY)
+    here = run_study(study, folder / "here") / "runs.parquet"
+
+    killed = threading.Event()
+    first = next(iter(cluster.workers.values()))
+
+    def show(phase, done, total):
+        if phase == "run" and done >= 10 and not killed.is_set():
+            killed.set()
+            first.process.process._process.kill()
+
+    place = run_study(
+        study, folder / "there", run=on_cluster(cluster.scheduler_address), progress=show
+    )
+    assert killed.is_set()
+    assert (place / "runs.parquet").read_bytes() == here.read_bytes()
+    table = StudyResults(place).table
+    assert not table.duplicated(["point", "member"]).any()
+    assert (table["status"] == "at rest").all()
+
+
+@pytest.mark.slow
+def test_the_command_on_a_cluster(folder, cluster):
+    arguments = ["study", str(folder / "study.yaml"), "-o", str(folder / "out")]
+    answer = subprocess.run(
+        [sys.executable, "-m", "derail_ros.cli", *arguments, "--dask", cluster.scheduler_address],
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert "on the cluster at tcp://" in answer.stderr
+    assert len(StudyResults(folder / "out").table) == 8
+
+
+@pytest.mark.slow
+def test_the_cluster_goes_away(load, folder, cluster):
+    def show(phase, done, total):
+        if phase == "run" and done == 5:
+            cluster.close()
+
+    began = time.monotonic()
+    with pytest.raises(ClusterError):
+        run_study(
+            load(STUDY), folder / "out", run=on_cluster(cluster.scheduler_address), progress=show
+        )
+    assert time.monotonic() - began < 120
+    kept = len(StudyResults(folder / "out").table)
+    assert kept >= 5
+    run_study(load(STUDY), folder / "out")
+    assert len(StudyResults(folder / "out").table) == 60
