@@ -48,13 +48,18 @@ STUDIES = [
     "scipy>=1.11",
 ]
 
+# Films as MP4: the ffmpeg that comes as a wheel. GIF needs nothing.
+VIDEO = ["imageio-ffmpeg>=0.5"]
+
 TEST = [
+    *VIDEO,
     "pytest>=8",
     "pytest-timeout>=2.3",
     "hypothesis>=6.100",
     "scipy>=1.11",
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",
+    "selenium>=4.15",
     "sympy>=1.12",
     "jsonschema>=4",
     "setuptools>=68",
@@ -139,6 +144,7 @@ setup(
     extras_require={
         "ros": ROS,
         "studies": STUDIES,
+        "video": VIDEO,
         "test": TEST,
         "dev": DEV,
     },
