@@ -21,6 +21,7 @@ ROSDEP = {"python3-yaml": "pyyaml", "python3-rosbags-pip": "rosbags"}
 IMPORTS = {"pyyaml": "yaml", "dask": "dask", "salib": "SALib"}
 # modules that a base dependency brings and that may be used with it
 BROUGHT = {
+    "matplotlib": {"PIL"},
     "numba": {"llvmlite"},
     "pydantic": {"pydantic_core", "annotated_types"},
     "rosbags": {"lz4", "zstandard", "backports", "compression"},
@@ -192,6 +193,7 @@ def modules(arguments) -> dict[str, set[str]]:
         "base": of(arguments["install_requires"]).union(*BROUGHT.values()),
         "ros": ros | {"derail_msgs", "rcl_interfaces"},
         "studies": of(extras["studies"]) | {"distributed"},
+        "video": of(extras["video"]),
         "figures": {"mpl_toolkits"},
     }
 
