@@ -19,7 +19,7 @@ from derail_ros.review.replay import site
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.review.bag import Run
+    from derail_ros.review.bag import Contact, Run
 
 KINDS = (".mp4", ".gif")
 DPI = 100
@@ -180,14 +180,22 @@ class _Stage:
                 if c.peak_force >= 1e6 and c.peak_time <= time < c.peak_time + MARKED
             ),
             key=lambda c: -c.peak_force,
-        )[: len(self.forces)]
+        )
+        told: list[Contact] = []
+        for c in recent:  # of labels that would cover each other the larger force stays
+            clear = all(
+                abs(c.x - o.x) > 0.075 * (x1 - x0) or abs(c.y - o.y) > 0.025 * (x1 - x0)
+                for o in told
+            )
+            if clear and len(told) < len(self.forces):
+                told.append(c)
         self.stars.set_data([c.x for c in recent], [c.y for c in recent])
         lift = 0.018 * (x1 - x0)
         for k, text in enumerate(self.forces):
-            text.set_visible(k < len(recent))
-            if k < len(recent):
-                text.set_text(words.force(recent[k].peak_force))
-                text.set_position((recent[k].x, recent[k].y + lift))
+            text.set_visible(k < len(told))
+            if k < len(told):
+                text.set_text(words.force(told[k].peak_force))
+                text.set_position((told[k].x, told[k].y + lift))
         self.clock.set_text(f"{time:.2f} s")
         hardest = float(scene.peak_force.max(initial=0.0))
         line = f"{int((scene.derailed & real).sum())} cars derailed"
