@@ -171,7 +171,9 @@ def open_bag(path: str | Path) -> RawBag:
         whole = _open_folder(path.parent)
         if whole.intact and whole.files == [path]:
             return whole
-    return _open_files(path, [path], storage)
+    # A file by itself: not every rosbags opens one, but there is the way from its beginning.
+    alone = _open_indexed(path, [path])
+    return alone if isinstance(alone, RawBag) else _open_files(path, [path], storage)
 
 
 def storage_of(path: Path) -> str | None:

@@ -113,6 +113,10 @@ def test_a_file_a_folder_and_a_folder_around_it_are_found(run, bag, tmp_path) ->
     file = next(bag.glob("*.mcap"))
     for place in (bag, file, bag / "metadata.yaml"):
         assert len(read_bag(place).time) == len(run.time)
+    shutil.copyfile(file, tmp_path / "alone.mcap")
+    alone = read_bag(tmp_path / "alone.mcap")
+    assert np.array_equal(alone.pose, run.pose)
+    assert not alone.warnings
     shutil.copytree(bag, tmp_path / "results" / "recording")
     assert len(read_bag(tmp_path / "results").time) == len(run.time)
 
