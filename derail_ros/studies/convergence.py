@@ -364,8 +364,7 @@ def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str
         f"{members} lateral forces (varied by up to {100 * VARIATION:g} %, seed {seed}), and "
         "compared with the tightest. Single runs cannot converge for long after cars have "
         f"collided: a member and its twin at another tolerance part, here by {100 * APART:g} cm, "
-        "and go their own ways. The time at which they part grows with every digit of the "
-        "tolerance, as it must where differences grow exponentially. What converges is the "
+        "and go their own ways; a tighter tolerance only puts that off. What converges is the "
         "distribution."
     )
     lines = [

@@ -22,11 +22,21 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from derail_ros.engine.params import (
+    BrakeParams,
+    Car,
+    ContactParams,
+    CouplerType,
+    DerailmentParams,
+    GroundParams,
+    IntegrationParams,
+)
+from derail_ros.scenario.resolve import CYLINDER_RADIUS
 from derail_ros.studies.ensemble import (
     VARIATION,
     Result,
@@ -47,7 +57,7 @@ from derail_ros.studies.validation import (
 )
 
 if TYPE_CHECKING:
-    from derail_ros.engine.params import Car, TrainParams
+    from derail_ros.engine.params import TrainParams
 
 Edit = Callable[["TrainParams"], "TrainParams"]
 
@@ -92,9 +102,9 @@ def _cars(change: Callable[[Car], Car]) -> Edit:
     return edit
 
 
-def cylinder_radius(radius: float, default: float = 1.5) -> Edit:
+def cylinder_radius(radius: float) -> Edit:
     """Yaw inertia of all cars as that of cylinders of another radius, m."""
-    more = 0.25 * (radius**2 - default**2)
+    more = 0.25 * (radius**2 - CYLINDER_RADIUS**2)
     return _cars(lambda car: replace(car, inertia=car.inertia + more * car.mass))
 
 
@@ -160,18 +170,42 @@ class Constant:
     only: tuple[str, ...] = ()
 
 
+def _default(owner: type[Any], name: str) -> float:
+    (found,) = (f for f in fields(owner) if f.name == name)
+    return float(found.default)  # type: ignore[arg-type]
+
+
 def _values(
     path: str, default: float, values: Iterable[float], scale: float = 1.0
 ) -> tuple[Change, ...]:
-    """Changes of a number; shown in units of ``scale``."""
+    """Changes of a number, the default left out; shown in units of ``scale``."""
     return tuple(
-        Change(f"{v / scale:g}", -1 if v < default else 1, {path: float(v)}) for v in values
+        Change(f"{v / scale:g}", -1 if v < default else 1, {path: float(v)})
+        for v in sorted(values)
+        if v != default
+    )
+
+
+def _number(
+    name: str,
+    label: str,
+    group: str,
+    path: str,
+    owner: type[Any],
+    attribute: str,
+    values: Iterable[float],
+    scale: float = 1.0,
+) -> Constant:
+    """A constant whose default is that of a parameter class of the engine."""
+    default = _default(owner, attribute)
+    return Constant(
+        name, label, f"{default / scale:g}", group, _values(path, default, values, scale)
     )
 
 
 def _baumgarte(velocity: float, position: float) -> Change:
     return Change(
-        f"Baumgarte, a = {velocity:g}, b = {position:g}",
+        f"Baumgarte {velocity:g}, {position:g}",
         0,
         {
             "integration.stabilization": "baumgarte",
@@ -183,217 +217,139 @@ def _baumgarte(velocity: float, position: float) -> Change:
 
 CONTROL = "Controls: changes that mean nothing"
 
-CONSTANTS: tuple[Constant, ...] = (
-    Constant(
-        "k2",
-        "striker stiffness k2 (MN/m)",
-        "50",
-        "Couplers",
-        _values("couplers.k2_N_per_m", 50e6, (10e6, 500e6, 5e9, 50e9), 1e6),
-    ),
-    Constant(
-        "coupler_inertia",
-        "coupler inertia I_c (t m\N{SUPERSCRIPT TWO})",
-        "20",
-        "Couplers",
-        _values("couplers.inertia_kg_m2", 20e3, (2e3,), 1e3),
-    ),
-    Constant(
-        "coupler_mass",
-        "coupler mass at the pivots",
-        "in the body",
-        "Couplers",
-        (Change("500 kg each", 0, edit=coupler_mass(500.0)),),
-    ),
-    Constant(
-        "radius",
-        "radius r of the yaw inertia (m)",
-        "1.5",
-        "Cars",
+SQUARED = "\N{SUPERSCRIPT TWO}"
+COUPLERS, CARS, BRAKES, GROUND = "Couplers", "Cars", "Brakes", "Ground"
+COLLISIONS, REMOVAL, END = "Collisions", "Leaving the rails", "End of the run"
+
+
+def _form(
+    name: str, label: str, default: str, group: str, value: str, path: str, new: Any
+) -> Constant:
+    """A choice of two."""
+    return Constant(name, label, default, group, (Change(value, 0, {path: new}),))
+
+
+def _constants() -> Iterator[Constant]:
+    yield _number(
+        "k2", "striker stiffness k2 (MN/m)", COUPLERS, "couplers.k2_N_per_m",
+        CouplerType, "k2", (10e6, 50e6, 500e6, 5e9, 50e9), 1e6,
+    )  # fmt: skip
+    yield _number(
+        "coupler_inertia", f"coupler inertia I_c (t m{SQUARED})", COUPLERS,
+        "couplers.inertia_kg_m2", Car, "coupler_inertia", (2e3,), 1e3,
+    )  # fmt: skip
+    yield Constant(
+        "coupler_mass", "mass of the couplers", "in the body", COUPLERS,
+        (Change("500 kg each at the pivots", 0, edit=coupler_mass(500.0)),),
+    )  # fmt: skip
+    yield Constant(
+        "radius", "radius r of the yaw inertia (m)", f"{CYLINDER_RADIUS:g}", CARS,
         (
             Change("0", -1, edit=cylinder_radius(0.0)),
             Change("2.5", 1, edit=cylinder_radius(2.5)),
         ),
-    ),
-    Constant(
-        "F0",
-        "brake force F0 (kN)",
-        "62",
-        "Brakes",
-        _values("brakes.force_N", 62e3, (20e3, 35e3, 50e3, 70e3), 1e3),
-    ),
-    Constant(
-        "shoe",
-        "brake shoe",
-        "composition",
-        "Brakes",
+    )  # fmt: skip
+    yield _number(
+        "F0", "brake force F0 (kN)", BRAKES, "brakes.force_N",
+        BrakeParams, "force", (20e3, 35e3, 50e3, 62e3, 70e3), 1e3,
+    )  # fmt: skip
+    yield Constant(
+        "shoe", "brake shoe", "composition", BRAKES,
         (Change("cast iron", 0, edit=shoes("cast_iron")),),
-    ),
-    Constant(
-        "mu_t",
-        "traction coefficient in the brake tests",
-        "0.15",
-        "Brakes",
+    )  # fmt: skip
+    yield Constant(
+        "mu_t", "traction coefficient in the brake tests", "0.15", BRAKES,
         _values("brakes.traction_coefficient", 0.15, (0.1, 0.2, 0.3)),
         ("traction", "instant_traction"),
-    ),
-    Constant(
-        "c_v",
-        "ground: growth with speed c_v (s/m)",
-        "0.03",
-        "Ground",
-        _values("ground.c_v_s_per_m", 0.03, (0.0, 0.015, 0.045, 0.06)),
-    ),
-    Constant(
-        "c_d",
-        "ground: dynamic coefficient c_d",
-        "0.7",
-        "Ground",
-        _values("ground.c_d", 0.7, (0.5, 0.6, 0.8, 1.0)),
-    ),
-    Constant(
-        "c_s",
-        "ground: static coefficient c_s",
-        "0.8",
-        "Ground",
-        _values("ground.c_s", 0.8, (0.7, 1.2)),
-    ),
-    Constant(
-        "eps",
-        "ground: smoothing at rest eps (m/s)",
-        "0.01",
-        "Ground",
-        _values("ground.eps_m_per_s", 0.01, (0.003, 0.03, 0.1)),
-    ),
-    Constant(
-        "gap_law",
-        "gap law",
-        "Gaussian",
-        "Collisions",
-        (Change("Lorentzian", 0, {"contact.gap_law": "lorentzian"}),),
-    ),
-    Constant(
-        "F_max",
-        "force at contact F_max (MN)",
-        "3",
-        "Collisions",
-        _values("contact.force_max_N", 3e6, (1.5e6, 2e6, 4.5e6, 6e6), 1e6),
-    ),
-    Constant(
-        "d_c",
-        "gap of half the force d_c (m)",
-        "0.08",
-        "Collisions",
-        _values("contact.half_distance_m", 0.08, (0.04, 0.16, 0.3)),
-    ),
-    Constant(
-        "d_b",
-        "buffer d_b (m)",
-        "0.8",
-        "Collisions",
-        _values("contact.buffer_m", 0.8, (0.4, 1.2)),
-    ),
-    Constant(
-        "c1",
-        "quadratic term c1 (s\N{SUPERSCRIPT TWO}/m\N{SUPERSCRIPT TWO})",
-        "0.025",
-        "Collisions",
-        _values("contact.c1_s2_per_m2", 0.025, (0.0, 0.0125, 0.05)),
-    ),
-    Constant(
-        "c2",
-        "linear term c2 (s/m)",
-        "0.1",
-        "Collisions",
-        _values("contact.c2_s_per_m", 0.1, (0.0, 0.05, 0.2, 0.4)),
-    ),
-    Constant(
-        "event",
-        "a collision begins and ends at (kN)",
-        "10, 5",
-        "Collisions",
-        (
-            Change("1, 0.5", -1, {"contact.begin_force_N": 1e3, "contact.end_force_N": 500.0}),
-            Change("100, 50", 1, {"contact.begin_force_N": 1e5, "contact.end_force_N": 5e4}),
+    )  # fmt: skip
+    for name, label, path, attribute, values in (
+        ("c_v", "growth with speed c_v (s/m)", "c_v_s_per_m", "c_v",
+         (0.0, 0.015, 0.03, 0.045, 0.06)),
+        ("c_d", "dynamic coefficient c_d", "c_d", "c_d", (0.5, 0.6, 0.7, 0.8, 1.0)),
+        ("c_s", "static coefficient c_s", "c_s", "c_s", (0.7, 0.8, 1.2)),
+        ("eps", "smoothing at rest eps (m/s)", "eps_m_per_s", "eps",
+         (0.003, 0.01, 0.03, 0.1)),
+    ):  # fmt: skip
+        yield _number(name, label, GROUND, f"ground.{path}", GroundParams, attribute, values)
+    yield _form(
+        "gap_law", "gap law", "Gaussian", COLLISIONS, "Lorentzian", "contact.gap_law",
+        "lorentzian",
+    )  # fmt: skip
+    yield _number(
+        "F_max", "force at contact F_max (MN)", COLLISIONS, "contact.force_max_N",
+        ContactParams, "force_max", (1.5e6, 2e6, 2.4e6, 3e6, 4.5e6), 1e6,
+    )  # fmt: skip
+    for name, label, path, attribute, values in (
+        ("d_c", "gap of half the force d_c (m)", "half_distance_m", "half_distance",
+         (0.04, 0.08, 0.16, 0.3)),
+        ("d_b", "buffer d_b (m)", "buffer_m", "buffer", (0.4, 0.8, 1.2)),
+        ("c1", f"quadratic term c1 (s{SQUARED}/m{SQUARED})", "c1_s2_per_m2", "c1",
+         (0.0, 0.0125, 0.025, 0.05)),
+        ("c2", "linear term c2 (s/m)", "c2_s_per_m", "c2", (0.0, 0.05, 0.1, 0.2, 0.4)),
+    ):  # fmt: skip
+        yield _number(name, label, COLLISIONS, f"contact.{path}", ContactParams, attribute, values)
+    begin, end = _default(ContactParams, "begin_force"), _default(ContactParams, "end_force")
+    yield Constant(
+        "event", "a collision begins, ends at (kN)", f"{begin / 1e3:g}, {end / 1e3:g}",
+        COLLISIONS,
+        tuple(
+            Change(
+                f"{factor * begin / 1e3:g}, {factor * end / 1e3:g}",
+                -1 if factor < 1.0 else 1,
+                {"contact.begin_force_N": factor * begin, "contact.end_force_N": factor * end},
+            )
+            for factor in (0.1, 10.0)
         ),
-    ),
-    Constant(
-        "LV",
-        "derailment quotient LV",
-        "2",
-        "Leaving the rails",
-        (
-            *_values("derailment.lv_limit", 2.0, (1.0, 1.5, 4.0)),
-            Change("none", 1, {"derailment.lv_limit": 1e6}),
-        ),
-    ),
-    Constant(
-        "break_follows",
-        "a lateral derailment breaks the rail",
-        "no",
-        "Leaving the rails",
-        (Change("yes", 0, {"derailment.break_follows_lateral": True}),),
-    ),
-    Constant(
-        "locate",
-        "breaks and couplings tested",
-        "within steps",
-        "Leaving the rails",
-        (Change("at their ends", 0, {"integration.locate_crossings": False}),),
-    ),
-    Constant(
-        "rest_speed",
-        "at rest below (m/s)",
-        "0.05",
-        "End of the run",
-        _values("integration.rest_speed_m_per_s", 0.05, (0.01, 0.1, 0.2, 0.5)),
-    ),
-    Constant(
-        "rest_yaw",
-        "at rest below (rad/s)",
-        "0.01",
-        "End of the run",
-        _values("integration.rest_yaw_rate_rad_per_s", 0.01, (0.002, 0.05)),
-    ),
-    Constant(
-        "rest_hold",
-        "at rest for (s)",
-        "0.5",
-        "End of the run",
-        _values("integration.rest_hold_s", 0.5, (0.1, 2.0)),
-    ),
-    Constant(
-        "stabilization",
-        "constraints kept by",
-        "projection",
-        CONTROL,
+    )  # fmt: skip
+    quotient = _number(
+        "LV", "derailment quotient LV", REMOVAL, "derailment.lv_limit",
+        DerailmentParams, "lv_limit", (1.0, 1.5, 2.0, 4.0),
+    )  # fmt: skip
+    none = Change("none", 1, {"derailment.lv_limit": 1e6})
+    yield replace(quotient, changes=(*quotient.changes, none))
+    yield _form(
+        "break_follows", "a lateral derailment breaks the rail", "no", REMOVAL, "yes",
+        "derailment.break_follows_lateral", True,
+    )  # fmt: skip
+    yield _form(
+        "locate", "breaks and couplings tested", "within steps", REMOVAL, "at their ends",
+        "integration.locate_crossings", False,
+    )  # fmt: skip
+    for name, label, path, attribute, values in (
+        ("rest_speed", "at rest below (m/s)", "rest_speed_m_per_s", "rest_speed",
+         (0.05, 0.1, 0.3, 0.5)),
+        ("rest_yaw", "at rest below (rad/s)", "rest_yaw_rate_rad_per_s", "rest_yaw_rate",
+         (0.01, 0.05, 0.1)),
+        ("rest_hold", "at rest for (s)", "rest_hold_s", "rest_hold", (0.1, 0.5, 2.0)),
+    ):  # fmt: skip
+        yield _number(
+            name, label, END, f"integration.{path}", IntegrationParams, attribute, values
+        )
+    yield Constant(
+        "stabilization", "constraints kept by", "projection", CONTROL,
         (_baumgarte(30.0, 50.0), _baumgarte(10.0, 25.0)),
-    ),
-    Constant(
-        "mirror",
-        "lateral force to the",
-        "left",
-        CONTROL,
-        (Change("right", 0, {"initiation.lateral_force_N": -50e3}),),
-    ),
-    Constant(
-        "rtol",
-        "tolerance",
-        "default",
-        CONTROL,
-        (Change("1e-5", 0, {"integration.rtol": 1e-5}),),
-    ),
-    Constant(
-        "method",
-        "integrator",
-        "default",
-        CONTROL,
-        (
-            Change("rkf45", 0, {"integration.method": "rkf45", "integration.rtol": 3e-5}),
-            Change("row", 0, {"integration.method": "row"}),
+    )  # fmt: skip
+    yield _form(
+        "mirror", "lateral force", "to the left", CONTROL, "to the right",
+        "initiation.lateral_force_N", -50e3,
+    )  # fmt: skip
+    rtol = _default(IntegrationParams, "rtol")
+    yield Constant(
+        "rtol", "tolerance", f"{rtol:g}", CONTROL,
+        (Change(f"{0.1 * rtol:g}", 0, {"integration.rtol": 0.1 * rtol}),),
+    )  # fmt: skip
+    method = IntegrationParams().method
+    yield Constant(
+        "method", "integrator", method, CONTROL,
+        tuple(
+            Change(name, 0, {"integration.method": name})
+            for name in ("rkf45", "row")
+            if name != method
         ),
-    ),
-)
+    )  # fmt: skip
+
+
+CONSTANTS: tuple[Constant, ...] = tuple(_constants())
 """All that is varied."""
 
 

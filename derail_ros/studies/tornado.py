@@ -75,13 +75,13 @@ def _label(constant: Constant, effects: Sequence[Effect]) -> str:
     other = [e.change.value for e in effects if e.change.side == 0]
     middle = f"[{constant.default}]"
     if other:
-        return f"{middle} {' | '.join(other)}"
-    return " ".join([*lower, middle, *upper])
+        return f"{middle}  {' | '.join(other)}"
+    return "  ".join([*lower, middle, *upper])
 
 
 def _tornado(study: Sensitivity) -> Figure:
     rows = _rows(study)
-    row, top, bottom = 0.27, 1.05, 0.62
+    row, top, bottom = 0.25, 1.0, 0.6
     height = top + bottom + row * max(len(rows), 1)
     width, left, names, gap = 15.0, 0.25, 5.15, 0.14
     figure = Figure(figsize=(width, height), facecolor="white")
@@ -171,7 +171,7 @@ def _panel(
     axes.set_ylim(-len(rows) + 0.5, 0.5)
     axes.set_yticks([])
     linear = LINEAR.get(measure.name, 20.0)
-    axes.set_xscale("symlog", linthresh=linear, linscale=1.0)
+    axes.set_xscale("symlog", linthresh=linear, linscale=1.5)
     reach = linear
     if floor > 0.0:
         low, high = (
