@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from derail_ros.review import figures, words
@@ -68,10 +70,8 @@ class _Stage:
         tall = 2 * round(width * aspect / 2) / DPI
         head = 2 * round(0.075 * width / 2) / DPI
         self.window = figures._fit(window, tall / inches)  # type: ignore[arg-type]
-        self.figure = matplotlib.figure.Figure(
-            figsize=(inches, tall + head), dpi=DPI, facecolor="white"
-        )
-        matplotlib.backends.backend_agg.FigureCanvasAgg(self.figure)
+        self.figure = Figure(figsize=(inches, tall + head), dpi=DPI, facecolor="white")
+        FigureCanvasAgg(self.figure)
         scale = width / 960
         self.axes = self.figure.add_axes((0.0, 0.0, 1.0, tall / (tall + head)))
         figures._prepare(self.axes, self.window)

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.ticker import MaxNLocator
 
 from derail_ros.review import figures, words
 from derail_ros.review.figures import (
@@ -306,13 +308,13 @@ def _colour_bar(figure: Figure, axes: Axes, norm: Normalize, note: str) -> None:
     """A colour bar at the right of the plot."""
     box = axes.get_position()
     bar = figure.add_axes((box.x1 + 0.012, box.y0, 0.011, box.height))
-    mapping = matplotlib.cm.ScalarMappable(norm=norm, cmap=car_colours())
+    mapping = ScalarMappable(norm=norm, cmap=car_colours())
     scale = figure.colorbar(mapping, cax=bar)
     scale.ax.invert_yaxis()
     scale.outline.set_visible(False)  # type: ignore[operator]
     scale.ax.tick_params(length=2, labelsize=8)
     scale.set_label(note, size=8.5)
-    scale.locator = matplotlib.ticker.MaxNLocator(integer=True, nbins=8)
+    scale.locator = MaxNLocator(integer=True, nbins=8)
     scale.update_ticks()
 
 
@@ -399,9 +401,9 @@ def _speeds(run: Run) -> Figure:
     kmh.spines["right"].set_visible(False)
     kmh.set_yticks([20, 40, 60, 80, 100, 120])
     kmh.set_yticklabels([f"{v} km/h" if v == 20 else f"{v}" for v in (20, 40, 60, 80, 100, 120)])
-    for label in kmh.get_yticklabels():
-        label.set_horizontalalignment("right")
-        label.set_color(FAINT)
+    for tick in kmh.get_yticklabels():
+        tick.set_horizontalalignment("right")
+        tick.set_color(FAINT)
     kmh.tick_params(pad=-4)
     if active:
         _colour_bar(figure, axes, norm, "car")
