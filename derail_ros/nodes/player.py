@@ -5,6 +5,7 @@ Its services have the names and fields of those of rosbag2's player.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -106,7 +107,15 @@ class NodeOutput:
 
     def others(self) -> list[str]:
         """Topics that another node publishes as well."""
-        return [t for t in self.publishers if self.node.count_publishers(t) > 1]
+        own = (self.node.get_name(), self.node.get_namespace())
+        return [
+            topic
+            for topic in self.publishers
+            if any(
+                (info.node_name, info.node_namespace) != own
+                for info in self.node.get_publishers_info_by_topic(topic)
+            )
+        ]
 
     # --- the clock, as ClockGuard wants it -----------------------------------------------------
 
@@ -180,6 +189,7 @@ def make_node_class() -> Any:
             self._listeners = int(values["await_listeners"])  # type: ignore[call-overload]
             self._clock_interval = 1.0 / float(values["clock_rate"])  # type: ignore[arg-type]
             self._clock_due = 0.0
+            self._look_at = 0.0
             self._began = time.monotonic()
             self.playing = False
             for name, kind, callback in (
@@ -204,6 +214,7 @@ def make_node_class() -> Any:
             now = time.monotonic()
             if not self.playing and not self._begin(now):
                 return now + 0.02
+            self._look_for_others(now)
             due = self.playback.work()
             if self.guard.publishing:
                 now = time.monotonic()
@@ -213,6 +224,19 @@ def make_node_class() -> Any:
                     self._clock_due = (now if late else self._clock_due) + self._clock_interval
                 due = min(due, self._clock_due)
             return due
+
+        def _look_for_others(self, now: float) -> None:
+            """Warn once, in the first seconds, if someone else publishes the same topics."""
+            if now < self._look_at:
+                return
+            self._look_at = now + 0.5
+            others = self.output.others()
+            if others:
+                self.get_logger().warning(
+                    f"another node publishes {', '.join(others[:3])} as well: both will mix"
+                )
+            if others or now > self._began + LISTENERS_WAIT:
+                self._look_at = math.inf
 
         def _begin(self, now: float) -> bool:
             """Begin when the graph has been looked at and those who want to listen do."""
@@ -224,11 +248,6 @@ def make_node_class() -> Any:
                 return False
             if missing:
                 self.get_logger().warning("await_listeners: they did not come")
-            others = self.output.others()
-            if others:
-                self.get_logger().warning(
-                    f"another node publishes {', '.join(others[:3])} as well: both will mix"
-                )
             self.playing = True
             if self._offset:
                 self.playback.seek(self.playback.start + self._offset)
