@@ -14,7 +14,7 @@ from derail_ros.review.severity import severity_index
 from derail_ros.scenario import loads_scenario
 from derail_ros.scenario.strict_yaml import Document, dump
 from derail_ros.studies import statistics
-from derail_ros.studies.design import Design, base_index, make
+from derail_ros.studies.design import Design, Sobol, base_index, make
 from derail_ros.studies.plan import Study, StudyModel, label_of
 from derail_ros.studies.runner import read_manifest, read_table
 
@@ -43,6 +43,7 @@ class StudyResults:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         self.manifest = read_manifest(self.folder)
+        self._tables: dict[str, pandas.DataFrame] = {}
 
     def __repr__(self) -> str:
         state = "" if self.complete else ", unfinished"
@@ -96,19 +97,25 @@ class StudyResults:
 
     def summary(self) -> pandas.DataFrame:
         """Each measure at each point: mean with its interval, spread, quantiles."""
-        return statistics.summary(self)
+        return self._kept("summary")
 
     def counts(self) -> pandas.DataFrame:
         """Distribution of the number of cars derailed at each point."""
-        return statistics.counts(self)
+        return self._kept("counts")
 
     def effects(self) -> pandas.DataFrame:
         """What each parameter does to each measure; the columns depend on the design."""
-        return statistics.effects(self)
+        return self._kept("effects")
 
     def sobol(self) -> pandas.DataFrame:
         """Sobol indices of each measure (design sobol)."""
-        return statistics.sobol(self)
+        return self._kept("effects" if isinstance(self.design, Sobol) else "sobol")
+
+    def _kept(self, name: str) -> pandas.DataFrame:
+        """A table of the statistics: computed once, given as a copy."""
+        if name not in self._tables:
+            self._tables[name] = getattr(statistics, name)(self)
+        return self._tables[name].copy()
 
     @cached_property
     def labels(self) -> tuple[str, ...]:

@@ -212,7 +212,10 @@ def _cannot(
     text = text[0].upper() + text[1:]
     everything = np.concatenate(groups)
     if np.ptp(everything) == 0.0:
-        return f"{text}: every run gives {_number(measure, everything[0])}."
+        value = _number(measure, everything[0])
+        if MEASURES[measure].whole:
+            value = f"{everything[0]:.0f}"
+        return f"{text}: every run gives {value}."
     if all(np.array_equal(groups[0], g) for g in groups[1:]):
         return f"{text}: run by run they give the same."
     means = [float(g.mean()) for g in groups]
