@@ -88,7 +88,9 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     previous = config.CACHE_DIR
     config.CACHE_DIR = str(CACHE_DIR)
     try:
-        return numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy", **options)(
+        return numba.njit(
+            cache=True, nogil=True, fastmath=False, error_model="numpy", _nrt=False, **options
+        )(
             function
         )
     finally:
