@@ -50,12 +50,14 @@ RKF45 = table(
 )
 
 # The classical method of order 4 (W. Kutta, 1901) as a W-method: with implicit friction it keeps
-# order 3 for any damping, is L-stable along the negative axis and does not swing there. The error
-# is a sixth of the change of the slope from the last stage to the new state, both at the end of
-# the step (an embedded method of order 3 that costs nothing). The gammas solve, for gamma = 2/5 and
-# gamma_21 = -1/25, with g_ij = gamma_ij + gamma delta_ij and beta = alpha + g,
-#     sum b_i g_ij = 0,  sum b_i alpha_ij g_jk = 0,  sum b_i g_ij alpha_jk = 0,
-#     sum b_i g_ij g_jk = 0,  b beta^-1 1 = 1 (no memory of infinitely fast friction).
+# order 3 for any damping and is L-stable along the negative axis. The error is a sixth of the
+# change of the slope from the last stage to the new state, both at the end of the step (an
+# embedded method of order 3 that costs nothing). With g_ij = gamma_ij + gamma delta_ij and
+# beta = alpha + g the gammas solve
+#     sum b_i g_ij = 0,    sum b_i alpha_ij g_jk = 0,    sum b_i g_ij alpha_jk = 0,
+#     sum b_i g_ij g_jk = 0,    sum b_i (beta^-1)_ij = 1  (no memory of infinitely fast friction)
+# for gamma = 2/5 and gamma_21 = -1/25; the damping of a step then falls from 1 to -0.13 as friction
+# grows faster, and rises to 0.
 ROW = table(
     alpha=((), (1 / 2,), (0, 1 / 2), (0, 0, 1)),
     gammas=((), (-1 / 25,), (-152 / 575, -103 / 115), (14 / 23, 131 / 805, -27 / 35)),

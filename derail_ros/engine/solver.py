@@ -248,6 +248,32 @@ def factor(car: F64, truck_on: U8, coupled: U8, wk: F64) -> bool:
 
 
 @inner_jit
+def rear_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """Velocity of the rear face of car ``k``, m/s."""
+    return (
+        v[k, 0] + car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] + car[k, L.DCR] * wk[k, L.W_SB] * v[k, 4],
+        v[k, 1] - car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] - car[k, L.DCR] * wk[k, L.W_CB] * v[k, 4],
+    )
+
+
+@inner_jit
+def front_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """Velocity of the front face of car ``k``, m/s."""
+    return (
+        v[k, 0] - car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] - car[k, L.DCF] * wk[k, L.W_SA] * v[k, 3],
+        v[k, 1] + car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] + car[k, L.DCF] * wk[k, L.W_CA] * v[k, 3],
+    )
+
+
+@inner_jit
+def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """``J v`` of coupling ``k``, m/s."""
+    bx, by = rear_rate(car, v, wk, k)
+    fx, fy = front_rate(car, v, wk, k + 1)
+    return bx - fx, by - fy
+
+
+@inner_jit
 def solve(
     car: F64,
     truck_on: U8,
@@ -291,26 +317,8 @@ def solve(
             lam_c[k, 0] = 0.0
             lam_c[k, 1] = 0.0
             continue
-        bx = (
-            x[k, 0]
-            + car[k, L.DP] * wk[k, L.W_ST] * x[k, 2]
-            + car[k, L.DCR] * wk[k, L.W_SB] * x[k, 4]
-        )
-        by = (
-            x[k, 1]
-            - car[k, L.DP] * wk[k, L.W_CT] * x[k, 2]
-            - car[k, L.DCR] * wk[k, L.W_CB] * x[k, 4]
-        )
-        fx = (
-            x[k + 1, 0]
-            - car[k + 1, L.DP] * wk[k + 1, L.W_ST] * x[k + 1, 2]
-            - car[k + 1, L.DCF] * wk[k + 1, L.W_SA] * x[k + 1, 3]
-        )
-        fy = (
-            x[k + 1, 1]
-            + car[k + 1, L.DP] * wk[k + 1, L.W_CT] * x[k + 1, 2]
-            + car[k + 1, L.DCF] * wk[k + 1, L.W_CA] * x[k + 1, 3]
-        )
+        bx, by = rear_rate(car, x, wk, k)
+        fx, fy = front_rate(car, x, wk, k + 1)
         rx = gamma_c[k, 0] - bx + fx
         ry = gamma_c[k, 1] - by + fy
         if k > 0 and coupled[k - 1]:
@@ -410,28 +418,6 @@ def coupling_gap(car: F64, q: F64, wk: F64, k: int) -> tuple[float, float]:
         - car[k, L.DCR] * wk[k, L.W_SB]
         - car[k + 1, L.DP] * wk[k + 1, L.W_ST]
         - car[k + 1, L.DCF] * wk[k + 1, L.W_SA]
-    )
-    return gx, gy
-
-
-@inner_jit
-def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
-    """``J v`` of coupling ``k``, m/s."""
-    gx = (
-        v[k, 0]
-        - v[k + 1, 0]
-        + car[k, L.DP] * wk[k, L.W_ST] * v[k, 2]
-        + car[k, L.DCR] * wk[k, L.W_SB] * v[k, 4]
-        + car[k + 1, L.DP] * wk[k + 1, L.W_ST] * v[k + 1, 2]
-        + car[k + 1, L.DCF] * wk[k + 1, L.W_SA] * v[k + 1, 3]
-    )
-    gy = (
-        v[k, 1]
-        - v[k + 1, 1]
-        - car[k, L.DP] * wk[k, L.W_CT] * v[k, 2]
-        - car[k, L.DCR] * wk[k, L.W_CB] * v[k, 4]
-        - car[k + 1, L.DP] * wk[k + 1, L.W_CT] * v[k + 1, 2]
-        - car[k + 1, L.DCF] * wk[k + 1, L.W_CA] * v[k + 1, 3]
     )
     return gx, gy
 
