@@ -60,7 +60,8 @@ def _writable(folder: Path) -> Path:
         return Path(tempfile.gettempdir()) / f"derail_ros-{os.getuid()}" / folder.name
 
 
-CACHE_DIR = _writable(cache_root() / f"kernels-{source_hash()}")
+FOLDER_PREFIX = "kernels-"
+CACHE_DIR = _writable(cache_root() / f"{FOLDER_PREFIX}{source_hash()}")
 """Folder of this version's compiled kernels."""
 
 
@@ -99,7 +100,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
 
 def jit(function: Callable[..., Any]) -> Any:
     """Compile a kernel: no Python objects, no fast math, GIL released, cached on disk."""
-    return _compile(function)
+    return _compile(function, no_cfunc_wrapper=True)
 
 
 def inner_jit(function: Callable[..., Any]) -> Any:

@@ -56,8 +56,8 @@ RKF45 = table(
 # beta = alpha + g the gammas solve
 #     sum b_i g_ij = 0,    sum b_i alpha_ij g_jk = 0,    sum b_i g_ij alpha_jk = 0,
 #     sum b_i g_ij g_jk = 0,    sum b_i (beta^-1)_ij = 1  (no memory of infinitely fast friction)
-# for gamma = 2/5 and gamma_21 = -1/25; the damping of a step then falls from 1 to -0.13 as friction
-# grows faster, and rises to 0.
+# for gamma = 2/5 and gamma_21 = -1/25. What a step leaves of a velocity then falls from 1 to -0.13
+# the faster the friction is, and rises to 0.
 ROW = table(
     alpha=((), (1 / 2,), (0, 1 / 2), (0, 0, 1)),
     gammas=((), (-1 / 25,), (-152 / 575, -103 / 115), (14 / 23, 131 / 805, -27 / 35)),

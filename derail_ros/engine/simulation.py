@@ -48,6 +48,7 @@ from derail_ros.engine.sample import Outcome, Sample
 from derail_ros.engine.serial import from_plain, pack, to_plain, unpack
 from derail_ros.engine.solver import plain_masses
 from derail_ros.engine.track import Track
+from derail_ros.engine.warming import ensure_compiled
 
 ENERGY_ENTRIES = (
     "kinetic",
@@ -135,6 +136,7 @@ class Simulation:
 
     def __init__(self, params: TrainParams) -> None:
         validate(params)
+        ensure_compiled()
         self.params = params
         self.track = Track(params.track)
         self._model = build_model(params, self.track)
