@@ -283,8 +283,8 @@ class IntegrationParams:
         suits "rkf45"
     stabilization : "projection" or "baumgarte"
     baumgarte_velocity, baumgarte_position : ``a`` (1/s) and ``b`` (1/s^2) [R]
-    locate_crossings : find break crossings and coupling failures inside the step; False gives
-        the source's form, tested only at the ends of steps
+    locate_crossings : find break crossings, lateral derailments and coupling failures inside the
+        step; False gives the source's form, tested only at the ends of steps
     buffer_fraction : no corner moves further than this share of the buffer in one step
     max_step, min_step : s
     rest_speed, rest_yaw_rate, rest_hold : the run ends when all cars have been slower than this

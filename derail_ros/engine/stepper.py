@@ -55,6 +55,9 @@ NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
 LOCATED = 1e-7
 """A crossing is located to this, m (breaks) or rad (couplings)."""
 
+OVERLOAD = 1e-3
+"""A lateral derailment is located to this, relative to the limit."""
+
 
 @inner_jit
 def speed_of(v: F64, i: int) -> float:
@@ -188,6 +191,32 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
                 d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
                 d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
                 share = min(share, _cubic_root(g0, d0, g1, d1))
+    return share
+
+
+@inner_jit
+def first_overload(model: Model, state: State, work: Work) -> float:
+    """Share of the step at which the first truck reaches its lateral limit, by the secant.
+
+    Forces at the end of the step are in ``work.lam_t``. 1.0 without one, or when the first is
+    within ``OVERLOAD`` of the limit already; 0.0 when a truck is above it from the start, because
+    another constraint has gone.
+    """
+    share = 1.0
+    for i in range(state.q.shape[0]):
+        if model.car[i, L.VIRTUAL] != 0.0:
+            continue
+        limit = model.par[L.LV_LIMIT] * 0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS]
+        for k in range(2):
+            if state.truck_on[i, k] == 0:
+                continue
+            f1 = abs(work.lam_t[i, k])
+            if f1 > limit * (1.0 + OVERLOAD):
+                f0 = abs(state.rail_force[i, k])
+                if f0 >= limit:
+                    share = 0.0
+                else:
+                    share = min(share, (limit * (1.0 + 0.5 * OVERLOAD) - f0) / (f1 - f0))
     return share
 
 
@@ -553,6 +582,13 @@ def step(model: Model, state: State, work: Work) -> int:
                 error = step_error(model, state, work, h, stages, stages + 1)
                 if not error <= 1.0:
                     verdict = 1
+        if verdict == 0 and par[L.LOCATE] != 0.0:
+            located = max(first_overload(model, state, work) * h, floor)
+            if located < h:
+                h = located
+                limit = L.LIMIT_OTHER
+                switch = math.inf
+                verdict = 3
         if verdict == 0:
             grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -exponent))
             break

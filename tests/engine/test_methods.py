@@ -13,8 +13,9 @@ from tests.engine.support import (
     NO_CONTACT,
     fixed_steps,
     free_train,
+    kicked,
     mixed_cars,
-    start,
+    propose,
     tight,
     with_integration,
 )
@@ -89,14 +90,9 @@ def test_order_with_stiff_friction():
     params = free_train(
         mixed_cars(4), speed=0.0, ground=ground, lateral=(mark,), contact=NO_CONTACT
     )
-    rng = np.random.default_rng(1)
-    home = Simulation(params).sample()
-    kick = np.zeros_like(home.v)
-    kick[:, 1:3] = rng.normal(scale=(0.3, 0.05), size=(4, 2))
 
     def final(params):
-        run = start(params, home.q, kick)
-        run._state.clock[2] = params.integration.max_step
+        run = propose(kicked(params, seed=1), params.integration.max_step)
         run.advance_to(end)
         return np.concatenate([run.sample().q, run.sample().v]), run.statistics
 
