@@ -72,18 +72,9 @@ def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
 
 def warm_up() -> None:
     """Have the engine's kernels ready, saying so if they must be compiled first."""
-    import threading
+    from derail_ros.engine import warm_up as engine_warm_up
 
-    message = "derail: compiling the engine's kernels (once; half a minute or so)"
-    timer = threading.Timer(2.0, note, (message,))
-    timer.daemon = True
-    timer.start()
-    try:
-        from derail_ros.engine import warm_up as engine_warm_up
-
-        engine_warm_up()
-    finally:
-        timer.cancel()
+    engine_warm_up(lambda text: note(f"derail: {text}"))
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
+from derail_ros.engine.laws.ground import BODY_POINTS
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -41,6 +42,7 @@ class Model(NamedTuple):
     unit_start: I64  # (N+1,)
     lateral: F64  # (F, N_LF)
     track: F64  # (pieces, N_TR)
+    table: F64  # of the integration method
 
 
 class State(NamedTuple):
@@ -82,8 +84,8 @@ class Work(NamedTuple):
     """Scratch of the kernels."""
 
     wk: F64  # (N, N_WORK)
-    wk2: F64  # the same for implicit steps
-    shift: F64  # (N, 5)
+    ang: F64  # (3, 3 N) angles, sines, cosines
+    ground: F64  # (4, 10 N) points on the ground: velocity x, y; two results
     force: F64  # (N, 5)
     stage_q: F64
     stage_v: F64
@@ -101,28 +103,32 @@ class Work(NamedTuple):
     event: F64  # (E, N_EVENT)
     report: F64  # (N or 0, N_REPORT)
     order: I64  # (N,) cars along X
+    place: I64  # (N,) and the place of each among them
     pairs: I64  # (P, 2) next neighbour list
     mask: U8
     pair: F64
+    active: I64  # (1 + P,) number and rows of the pairs that may touch for now
+    placed: F64  # (N, 3) poses when that list was made
 
 
-STAGES = 6
+SLOPES = 8
+"""Room for the stages of a method and the slope at its end."""
 
 
 def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
     """Scratch for ``n`` cars."""
     return Work(
         wk=np.zeros((n, L.N_WORK)),
-        wk2=np.zeros((n, L.N_WORK)),
-        shift=np.zeros((n, 5)),
+        ang=np.zeros((3, 3 * n)),
+        ground=np.zeros((4, BODY_POINTS * n)),
         force=np.zeros((n, 5)),
         stage_q=np.zeros((n, 5)),
         stage_v=np.zeros((n, 5)),
-        kq=np.zeros((STAGES, n, 5)),
-        kv=np.zeros((STAGES, n, 5)),
+        kq=np.zeros((SLOPES, n, 5)),
+        kv=np.zeros((SLOPES, n, 5)),
         power=np.zeros(L.N_POWER),
         mean_power=np.zeros(L.N_POWER),
-        kp=np.zeros((STAGES, L.N_POWER)),
+        kp=np.zeros((SLOPES, L.N_POWER)),
         gamma_t=np.zeros((n, 2)),
         gamma_c=np.zeros((max(n - 1, 0), 2)),
         lam_t=np.zeros((n, 2)),
@@ -132,7 +138,10 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         event=np.zeros((event_rows, L.N_EVENT)),
         report=np.zeros((n if report else 0, N_REPORT)),
         order=np.arange(n),
+        place=np.zeros(n, dtype=np.int64),
         pairs=np.zeros((pair_rows, 2), dtype=np.int64),
         mask=np.zeros((pair_rows, 8), dtype=np.uint8),
         pair=np.zeros((pair_rows, L.N_PAIR)),
+        active=np.zeros(1 + pair_rows, dtype=np.int64),
+        placed=np.full((n, 3), np.nan),
     )

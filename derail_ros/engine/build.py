@@ -271,7 +271,6 @@ def build_model(params: TrainParams, track: Track) -> Model:
     par[L.REST_W] = m.rest_yaw_rate
     par[L.REST_HOLD] = m.rest_hold
     par[L.T_LIMIT] = m.time_limit
-    par[L.METHOD] = METHODS[m.method]
     traction = p.brakes.traction_coefficient * GRAVITY
 
     car = np.zeros((n, L.N_CAR))
@@ -347,6 +346,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
         unit_start=unit_start,
         lateral=lateral,
         track=track.pieces,
+        table=np.array(METHODS[p.integration.method]),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import arrays as A
 from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import Model
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import (
     cast_iron_factor,
@@ -35,9 +35,9 @@ from derail_ros.engine.laws.contact import (
 from derail_ros.engine.laws.ground import BODY_POINTS, drag
 from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
 from derail_ros.engine.laws.striker import spring_energy, spring_force
-from derail_ros.engine.trigonometry import angles
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 
@@ -47,18 +47,17 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
     striker = 0.0
     knuckle = 0.0
     n = q.shape[0]
+    car = model.car
+    kn = model.knuckle
     for i in range(n):
-        c = model.car[i]
-        striker += spring_energy(
-            c[L.ARM_F] * (q[i, 3] - q[i, 2]), c[L.OPEN_F], c[L.K1_F], c[L.K2_F]
-        )
-        striker += spring_energy(
-            c[L.ARM_R] * (q[i, 4] - q[i, 2]), c[L.OPEN_R], c[L.K1_R], c[L.K2_R]
-        )
+        x = car[i, L.ARM_F] * (q[i, 3] - q[i, 2])
+        striker += spring_energy(x, car[i, L.OPEN_F], car[i, L.K1_F], car[i, L.K2_F])
+        x = car[i, L.ARM_R] * (q[i, 4] - q[i, 2])
+        striker += spring_energy(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R])
         if i < n - 1 and coupled[i]:
-            k = model.knuckle[i]
+            x = q[i, 4] - q[i + 1, 3]
             knuckle += knuckle_energy(
-                q[i, 4] - q[i + 1, 3], k[L.KN_0], k[L.KN_1], k[L.KN_2], k[L.KN_ROOT]
+                x, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT]
             )
     return striker, knuckle
 
@@ -67,39 +66,49 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
 def kinetic_energy(model: Model, v: F64) -> float:
     """Kinetic energy of all bodies, J."""
     total = 0.0
+    car = model.car
     for i in range(v.shape[0]):
-        c = model.car[i]
         total += 0.5 * (
-            c[L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-            + c[L.INERTIA] * v[i, 2] * v[i, 2]
-            + c[L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
+            car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+            + car[i, L.INERTIA] * v[i, 2] * v[i, 2]
+            + car[i, L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
         )
     return total
 
 
 @inner_jit
-def brake_force(model: Model, arrival: F64, i: int, t: float, t_on: float, speed: float) -> float:
-    """Retarding force of all brake units of body ``i`` with both trucks on the rails, N.
+def brake_force(
+    rise_time: float,
+    unit: F64,
+    first: int,
+    last: int,
+    arrival: F64,
+    t: float,
+    t_on: float,
+    speed: float,
+) -> float:
+    """Retarding force of the brake units ``first`` to ``last`` of a body on the rails, N.
 
     ``t_on`` decides which instant applications are on: the beginning of the step, so that a
     force is never switched inside one.
     """
     composition = composition_factor(speed)
-    rise_time = model.par[L.BRAKE_RISE]
     total = 0.0
-    for u in range(model.unit_start[i], model.unit_start[i + 1]):
-        shoe = model.unit[u, L.U_SHOE]
+    for u in range(first, last):
+        shoe = unit[u, L.U_SHOE]
         if shoe == 0.0:
             continue
         k = rise(t, arrival[u, L.ARR_CONV], rise_time)
         if t_on >= arrival[u, L.ARR_INST]:
             k = 1.0
-        f = k * model.unit[u, L.U_FORCE]
+        f = k * unit[u, L.U_FORCE]
         f *= composition if shoe == 1.0 else cast_iron_factor(speed)
-        k = rise(t, arrival[u, L.ARR_TL], rise_time)
-        if t_on >= arrival[u, L.ARR_INST_TL]:
-            k = 1.0
-        total += max(f, k * model.unit[u, L.U_TRACTION])
+        if t > arrival[u, L.ARR_TL] or t_on >= arrival[u, L.ARR_INST_TL]:
+            k = rise(t, arrival[u, L.ARR_TL], rise_time)
+            if t_on >= arrival[u, L.ARR_INST_TL]:
+                k = 1.0
+            f = max(f, k * unit[u, L.U_TRACTION])
+        total += f
     return total
 
 
@@ -134,7 +143,8 @@ def _speed_along(v: F64, q: F64, i: int, px: float, py: float, nx: float, ny: fl
 
 @inner_jit
 def _corner_contacts(
-    model: Model,
+    par: F64,
+    car: F64,
     q: F64,
     v: F64,
     wk: F64,
@@ -158,12 +168,11 @@ def _corner_contacts(
     is not, so that it is done once.
     """
     keep_separate()
-    par = model.par
     d_b = par[L.C_BUFFER]
-    a_i = model.car[i, L.HALF_L]
-    b_i = model.car[i, L.HALF_W]
-    a_j = model.car[j, L.HALF_L]
-    b_j = model.car[j, L.HALF_W]
+    a_i = car[i, L.HALF_L]
+    b_i = car[i, L.HALF_W]
+    a_j = car[j, L.HALF_L]
+    b_j = car[j, L.HALF_W]
     cj = wk[j, L.W_CT]
     sj = wk[j, L.W_ST]
     for corner in range(4):
@@ -255,22 +264,36 @@ def _corner_contacts(
 
 
 @inner_jit
-def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
-    """Contact forces between all neighbouring pairs; per-pair sums go into ``state.pair``."""
-    wk = work.wk
-    car = model.car
-    pairs = state.pairs
-    pair = state.pair
-    d_b = model.par[L.C_BUFFER]
+def collisions(
+    par: F64,
+    car: F64,
+    pairs: I64,
+    mask: U8,
+    pair: F64,
+    active: I64,
+    q: F64,
+    v: F64,
+    wk: F64,
+    force: F64,
+    report: F64,
+) -> float:
+    """Contact forces between the pairs in ``active``; returns the power they take out, W.
+
+    Per-pair sums go into ``pair``.
+    """
+    keep_separate()
+    d_b = par[L.C_BUFFER]
     power = 0.0
-    for p in range(state.cnt[L.N_PAIRS]):
+    for a in range(1, 1 + active[0]):
+        p = active[a]
         i = pairs[p, 0]
         j = pairs[p, 1]
-        pair[p, L.P_FX] = 0.0
-        pair[p, L.P_FY] = 0.0
-        pair[p, L.P_FMAX] = 0.0
-        pair[p, L.P_POWER] = 0.0
-        pair[p, L.P_NEAR] = 0.0
+        if pair[p, L.P_NEAR] != 0.0:
+            pair[p, L.P_FX] = 0.0
+            pair[p, L.P_FY] = 0.0
+            pair[p, L.P_FMAX] = 0.0
+            pair[p, L.P_POWER] = 0.0
+            pair[p, L.P_NEAR] = 0.0
         ci = wk[i, L.W_CT]
         si = wk[i, L.W_ST]
         cj = wk[j, L.W_CT]
@@ -300,64 +323,124 @@ def collisions(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
             continue
         pair[p, L.P_NEAR] = 1.0
         _corner_contacts(
-            model, q, v, wk, work.force, pair, state.mask, work.report, p, i, j, ju, jw, c, s,
-            False,
-        )  # fmt: skip
+            par, car, q, v, wk, force, pair, mask, report, p, i, j, ju, jw, c, s, False
+        )
         _corner_contacts(
-            model, q, v, wk, work.force, pair, state.mask, work.report, p, j, i, iu, iw, c, -s,
-            True,
-        )  # fmt: skip
+            par, car, q, v, wk, force, pair, mask, report, p, j, i, iu, iw, c, -s, True
+        )
         power += pair[p, L.P_POWER]
-    work.power[L.E_COLLISION] = power
+    return power
 
 
-@jit
-def generalized_forces(
-    model: Model,
-    state: State,
-    work: Work,
+@inner_jit
+def _drag_of_points(par: F64, ground: F64, count: int) -> None:
+    """``drag`` at the velocities ``ground[0:2]`` into ``ground[2]``: one loop of vectors."""
+    c_s = par[L.G_CS]
+    c_d = par[L.G_CD]
+    eps = par[L.G_EPS]
+    c_v = par[L.G_CV]
+    for m in range(count):
+        ux = ground[0, m]
+        uy = ground[1, m]
+        ground[2, m] = drag(math.sqrt(ux * ux + uy * uy), c_s, c_d, eps, c_v)
+
+
+@inner_jit
+def lies_free(coupled: U8, i: int, n: int) -> bool:
+    """Both couplers of car ``i`` have parted; a missing neighbour counts as parted."""
+    return (i == 0 or coupled[i - 1] == 0) and (i == n - 1 or coupled[i] == 0)
+
+
+@inner_jit
+def ground_points(
+    car: F64, truck_on: U8, i: int, free: bool, v: F64, wk: F64, ground: F64, m: int
+) -> int:
+    """Velocities of the points of car ``i`` on the ground into ``ground`` from column ``m`` on.
+
+    Ten along the body of a free car, else its trucks off the rails. Returns the next column.
+    """
+    nx = -v[i, 2] * wk[i, L.W_ST]
+    ny = v[i, 2] * wk[i, L.W_CT]
+    if free:
+        for k in range(BODY_POINTS):
+            r = car[i, L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
+            ground[0, m + k] = v[i, 0] + r * nx
+            ground[1, m + k] = v[i, 1] + r * ny
+        return m + BODY_POINTS
+    for k in range(2):
+        if truck_on[i, k] == 0:
+            r = car[i, L.DT] if k == 0 else -car[i, L.DT]
+            ground[0, m] = v[i, 0] + r * nx
+            ground[1, m] = v[i, 1] + r * ny
+            m += 1
+    return m
+
+
+@inner_jit
+def applied_forces(
+    par: F64,
+    car: F64,
+    knuckle: F64,
+    unit: F64,
+    unit_start: I64,
+    lateral: F64,
+    arrival: F64,
     t: float,
+    t_on: float,
     truck_on: U8,
     coupled: U8,
     q: F64,
     v: F64,
+    wk: F64,
+    ground: F64,
+    force: F64,
+    power: F64,
+    report: F64,
 ) -> None:
-    """All applied forces at ``(t, q, v)`` into ``work.force``, their powers into ``work.power``.
+    """All forces but those of collisions at ``(t, q, v)``, and the power of each.
 
-    Switched forces (initiating forces, instant brakes) are those on at ``state.clock[T_ON]``.
+    Angles are in ``wk``. Switched forces (initiating forces, instant brakes) are those on at
+    ``t_on``.
     """
     keep_separate()
-    par = model.par
-    car = model.car
     n = q.shape[0]
-    force = work.force
-    wk = work.wk
-    report = work.report
-    t_on = state.clock[L.T_ON]
-    angles(q, wk)
     p_brake = 0.0
     p_truck = 0.0
     p_body = 0.0
     p_damper = 0.0
     p_external = 0.0
     eps = par[L.G_EPS]
-    if report.shape[0]:
-        report[:] = 0.0
+    rise_time = par[L.BRAKE_RISE]
+    reporting = report.shape[0] > 0
+    if reporting:
+        for i in range(n):
+            for k in range(A.N_REPORT):
+                report[i, k] = 0.0
 
+    count = 0
+    for i in range(n):
+        if truck_on[i, 0] == 0 or truck_on[i, 1] == 0:
+            free = lies_free(coupled, i, n)
+            count = ground_points(car, truck_on, i, free, v, wk, ground, count)
+    _drag_of_points(par, ground, count)
+
+    m = 0
     for i in range(n):
         theta = q[i, 2]
         omega = v[i, 2]
 
         # strikers
-        x = car[i, L.ARM_F] * (q[i, 3] - theta)
-        xd = car[i, L.ARM_F] * (v[i, 3] - omega)
+        arm_f = car[i, L.ARM_F]
+        x = arm_f * (q[i, 3] - theta)
+        xd = arm_f * (v[i, 3] - omega)
         f_front = (
             spring_force(x, car[i, L.OPEN_F], car[i, L.K1_F], car[i, L.K2_F])
             + car[i, L.DAMP_F] * xd
         )
         p_damper += car[i, L.DAMP_F] * xd * xd
-        x = car[i, L.ARM_R] * (q[i, 4] - theta)
-        xd = car[i, L.ARM_R] * (v[i, 4] - omega)
+        arm_r = car[i, L.ARM_R]
+        x = arm_r * (q[i, 4] - theta)
+        xd = arm_r * (v[i, 4] - omega)
         f_rear = (
             spring_force(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R])
             + car[i, L.DAMP_R] * xd
@@ -365,10 +448,10 @@ def generalized_forces(
         p_damper += car[i, L.DAMP_R] * xd * xd
         fx = 0.0
         fy = 0.0
-        moment = car[i, L.ARM_F] * f_front + car[i, L.ARM_R] * f_rear
-        force[i, 3] = -car[i, L.ARM_F] * f_front
-        force[i, 4] = -car[i, L.ARM_R] * f_rear
-        if report.shape[0]:
+        moment = arm_f * f_front + arm_r * f_rear
+        force[i, 3] = -arm_f * f_front
+        force[i, 4] = -arm_r * f_rear
+        if reporting:
             report[i, A.R_STRIKER] = f_front
             report[i, A.R_STRIKER + 1] = f_rear
 
@@ -378,54 +461,56 @@ def generalized_forces(
         vy = v[i, 1]
         if trucks > 0:
             speed = math.sqrt(vx * vx + vy * vy)
-            f = brake_force(model, state.arrival, i, t, t_on, speed) * (0.5 * trucks)
+            f = brake_force(
+                rise_time, unit, unit_start[i], unit_start[i + 1], arrival, t, t_on, speed
+            ) * (0.5 * trucks)
             if f != 0.0:
                 g = f * smooth_direction(speed, eps)
                 fx -= g * vx
                 fy -= g * vy
                 p_brake += g * speed * speed
-            if report.shape[0]:
+            if reporting:
                 report[i, A.R_BRAKE] = f * speed * smooth_direction(speed, eps)
 
         # ground
         if trucks < 2:
             ct = wk[i, L.W_CT]
             st = wk[i, L.W_ST]
-            free = (i == 0 or coupled[i - 1] == 0) and (i == n - 1 or coupled[i] == 0)
-            weight = par[L.G_SCALE] * car[i, L.MASS] * par[L.GRAVITY]
-            points = BODY_POINTS if free else 2
+            free = lies_free(coupled, i, n)
+            load = par[L.G_SCALE] * car[i, L.MASS] * par[L.GRAVITY]
+            load /= BODY_POINTS if free else 2
             gx = 0.0
             gy = 0.0
             gm = 0.0
-            power = 0.0
-            for k in range(points):
+            lost = 0.0
+            for k in range(BODY_POINTS if free else 2):
                 if free:
                     r = car[i, L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
                 else:
                     if truck_on[i, k]:
                         continue
                     r = car[i, L.DT] if k == 0 else -car[i, L.DT]
-                ux = vx - omega * r * st
-                uy = vy + omega * r * ct
-                speed = math.sqrt(ux * ux + uy * uy)
-                g = drag(speed, par[L.G_CS], par[L.G_CD], eps, par[L.G_CV]) * (weight / points)
+                ux = ground[0, m]
+                uy = ground[1, m]
+                g = ground[2, m] * load
+                m += 1
                 px = -g * ux
                 py = -g * uy
                 gx += px
                 gy += py
                 gm += r * (ct * py - st * px)
-                power += g * speed * speed
-                if report.shape[0] and not free:
+                lost -= px * ux + py * uy
+                if reporting and not free:
                     report[i, A.R_TRUCK + 2 * k] = px
                     report[i, A.R_TRUCK + 2 * k + 1] = py
             fx += gx
             fy += gy
             moment += gm
             if free:
-                p_body += power
+                p_body += lost
             else:
-                p_truck += power
-            if report.shape[0]:
+                p_truck += lost
+            if reporting:
                 report[i, A.R_GROUND_MOMENT] = gm
                 if free:
                     report[i, A.R_BODY] = gx
@@ -437,35 +522,37 @@ def generalized_forces(
     # knuckles
     for i in range(n - 1):
         if coupled[i]:
-            k = model.knuckle[i]
-            m = knuckle_moment(
-                q[i, 4] - q[i + 1, 3], k[L.KN_0], k[L.KN_1], k[L.KN_2], k[L.KN_ROOT]
+            moment = knuckle_moment(
+                q[i, 4] - q[i + 1, 3],
+                knuckle[i, L.KN_0],
+                knuckle[i, L.KN_1],
+                knuckle[i, L.KN_2],
+                knuckle[i, L.KN_ROOT],
             )
-            force[i, 4] += m
-            force[i + 1, 3] -= m
-            if report.shape[0]:
-                report[i, A.R_KNUCKLE] = m
+            force[i, 4] += moment
+            force[i + 1, 3] -= moment
+            if reporting:
+                report[i, A.R_KNUCKLE] = moment
 
     # forces that start the motion
-    for k in range(model.lateral.shape[0]):
-        if model.lateral[k, L.LF_T0] <= t_on < model.lateral[k, L.LF_T1]:
-            i = int(model.lateral[k, L.LF_CAR])
-            r = model.lateral[k, L.LF_OFFSET]
-            ex = model.lateral[k, L.LF_X]
-            ey = model.lateral[k, L.LF_Y]
+    for k in range(lateral.shape[0]):
+        if lateral[k, L.LF_T0] <= t_on < lateral[k, L.LF_T1]:
+            i = int(lateral[k, L.LF_CAR])
+            r = lateral[k, L.LF_OFFSET]
+            ex = lateral[k, L.LF_X]
+            ey = lateral[k, L.LF_Y]
             rx = r * wk[i, L.W_CT]
             ry = r * wk[i, L.W_ST]
             force[i, 0] += ex
             force[i, 1] += ey
             force[i, 2] += rx * ey - ry * ex
             p_external += ex * (v[i, 0] - v[i, 2] * ry) + ey * (v[i, 1] + v[i, 2] * rx)
-            if report.shape[0]:
+            if reporting:
                 report[i, A.R_EXTERNAL] += ex
                 report[i, A.R_EXTERNAL + 1] += ey
 
-    collisions(model, state, work, q, v)
-    work.power[L.E_BRAKE] = p_brake
-    work.power[L.E_GROUND_TRUCK] = p_truck
-    work.power[L.E_GROUND_BODY] = p_body
-    work.power[L.E_DAMPER] = p_damper
-    work.power[L.E_EXTERNAL] = p_external
+    power[L.E_BRAKE] = p_brake
+    power[L.E_GROUND_TRUCK] = p_truck
+    power[L.E_GROUND_BODY] = p_body
+    power[L.E_DAMPER] = p_damper
+    power[L.E_EXTERNAL] = p_external

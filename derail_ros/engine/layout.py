@@ -40,8 +40,7 @@ REST_V = 29
 REST_W = 30
 REST_HOLD = 31
 T_LIMIT = 32
-METHOD = 33
-N_PAR = 34
+N_PAR = 33
 
 # --- car: parameters of a body ---------------------------------------------------------------
 MASS = 0
@@ -137,7 +136,8 @@ LIMIT_ACCURACY = 7  # steps whose size the error control set
 LIMIT_CAP = 8  # ... the cap on a corner's way
 LIMIT_OTHER = 9  # ... the largest step, a switched force or a located event
 EVALS = 10
-N_CNT = 11
+IMPLICIT_STEPS = 11
+N_CNT = 12
 
 RUNNING = 0
 AT_REST = 1
@@ -255,4 +255,9 @@ W_OFF = 56  # truck offset front, rear
 W_A0 = 58  # free acceleration, 3
 W_RX = 61  # eliminated right-hand side
 W_RY = 62
-N_WORK = 64
+W_STIFF = 63  # 1: friction of this car is treated implicitly in this step
+W_C = 64  # its damping by (Vx, Vy, yaw rate): xx xy xt yy yt tt
+W_SX = 70  # what the implicit stages add to the velocities' change
+W_SY = 71
+W_SW = 72
+N_WORK = 74

@@ -15,8 +15,10 @@ from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.contact import nearest_wall, outside_mask
+from derail_ros.engine.trigonometry import angles, sincos
 
 F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
 
 MARGIN = 3.0
 """Room between the circles that a fresh list allows for, m."""
@@ -36,49 +38,115 @@ def list_is_stale(model: Model, state: State) -> bool:
 
 
 @inner_jit
-def corner_place(model: Model, q: F64, i: int, corner: int) -> tuple[float, float]:
-    """Place of a corner of car ``i``: 0 front left, 1 front right, 2 rear left, 3 rear right."""
-    u = model.car[i, L.HALF_L] if corner < 2 else -model.car[i, L.HALF_L]
-    w = model.car[i, L.HALF_W] if corner % 2 == 0 else -model.car[i, L.HALF_W]
-    c = math.cos(q[i, 2])
-    s = math.sin(q[i, 2])
-    return q[i, 0] + c * u - s * w, q[i, 1] + s * u + c * w
-
-
-@inner_jit
-def remember_walls(model: Model, state: State, p: int, fresh: bool) -> None:
+def remember_walls(car: F64, q: F64, mask: U8, p: int, i: int, j: int, fresh: bool) -> None:
     """Update the memory of pair ``p``: which walls each corner is outside of, or came through.
 
     A corner that is inside keeps its wall; ``fresh`` forgets it (a new pair).
     """
     keep_separate()
-    q = state.q
+    si, ci = sincos(q[i, 2])
+    sj, cj = sincos(q[j, 2])
+    c = ci * cj + si * sj
+    s = si * cj - ci * sj
     for side in range(2):
-        i = state.pairs[p, side]
-        j = state.pairs[p, 1 - side]
-        c = math.cos(q[j, 2])
-        s = math.sin(q[j, 2])
-        a = model.car[j, L.HALF_L]
-        b = model.car[j, L.HALF_W]
+        # the centre of the one and its direction in the frame of the other
+        a = i if side == 0 else j
+        b = j if side == 0 else i
+        dx = q[a, 0] - q[b, 0]
+        dy = q[a, 1] - q[b, 1]
+        cb = cj if side == 0 else ci
+        sb = sj if side == 0 else si
+        turn = s if side == 0 else -s
+        u0 = cb * dx + sb * dy
+        w0 = -sb * dx + cb * dy
         for corner in range(4):
-            x, y = corner_place(model, q, i, corner)
-            u = c * (x - q[j, 0]) + s * (y - q[j, 1])
-            w = -s * (x - q[j, 0]) + c * (y - q[j, 1])
-            mask = outside_mask(u, w, a, b)
+            u = car[a, L.HALF_L] if corner < 2 else -car[a, L.HALF_L]
+            w = car[a, L.HALF_W] if corner % 2 == 0 else -car[a, L.HALF_W]
+            x = u0 + c * u - turn * w
+            y = w0 + turn * u + c * w
+            out = outside_mask(x, y, car[b, L.HALF_L], car[b, L.HALF_W])
             k = 4 * side + corner
-            if mask == 0:
-                old = 0 if fresh else state.mask[p, k]
-                mask = nearest_wall(u, w, a, b, old)
-            state.mask[p, k] = mask
+            if out == 0:
+                old = 0 if fresh else mask[p, k]
+                out = nearest_wall(x, y, car[b, L.HALF_L], car[b, L.HALF_W], old)
+            mask[p, k] = out
+
+
+ACTIVE = 3.0
+"""How far corners may move before the list of active pairs is made again, in steps' shares."""
+
+
+@inner_jit
+def refresh_active(model: Model, state: State, work: Work) -> None:
+    """List the pairs that can come within the buffer before some corner has moved a while.
+
+    Two rectangles are at least as far apart as the widest gap between them along their axes. The
+    pairs left out are those whose collision force is exactly zero.
+    """
+    keep_separate()
+    q = state.q
+    placed = work.placed
+    share = model.par[L.STEP_SHARE]
+    n = q.shape[0]
+    fresh = True
+    for i in range(n):
+        dx = q[i, 0] - placed[i, 0]
+        dy = q[i, 1] - placed[i, 1]
+        moved = math.sqrt(dx * dx + dy * dy) + model.car[i, L.RADIUS] * abs(q[i, 2] - placed[i, 2])
+        # half a list's life for the step that comes
+        if not moved <= 0.5 * ACTIVE * share:
+            fresh = False
+            break
+    if fresh:
+        return
+    for i in range(n):
+        for k in range(3):
+            placed[i, k] = q[i, k]
+    wk = work.wk
+    car = model.car
+    pair = state.pair
+    angles(q, wk, work.ang)
+    # at the corners of its buffer a body reaches sqrt(2) times as far
+    room = 1.5 * model.par[L.C_BUFFER] + 2.0 * ACTIVE * share
+    count = 0
+    for p in range(state.cnt[L.N_PAIRS]):
+        i = state.pairs[p, 0]
+        j = state.pairs[p, 1]
+        dx = q[i, 0] - q[j, 0]
+        dy = q[i, 1] - q[j, 1]
+        ci = wk[i, L.W_CT]
+        si = wk[i, L.W_ST]
+        cj = wk[j, L.W_CT]
+        sj = wk[j, L.W_ST]
+        ac = abs(ci * cj + si * sj)
+        as_ = abs(si * cj - ci * sj)
+        a_i = car[i, L.HALF_L]
+        b_i = car[i, L.HALF_W]
+        a_j = car[j, L.HALF_L]
+        b_j = car[j, L.HALF_W]
+        gap = abs(cj * dx + sj * dy) - (a_j + a_i * ac + b_i * as_)
+        gap = max(gap, abs(cj * dy - sj * dx) - (b_j + a_i * as_ + b_i * ac))
+        gap = max(gap, abs(ci * dx + si * dy) - (a_i + a_j * ac + b_j * as_))
+        gap = max(gap, abs(ci * dy - si * dx) - (b_i + a_j * as_ + b_j * ac))
+        if gap > room:
+            pair[p, L.P_FX] = 0.0
+            pair[p, L.P_FY] = 0.0
+            pair[p, L.P_FMAX] = 0.0
+            pair[p, L.P_POWER] = 0.0
+            pair[p, L.P_NEAR] = 0.0
+        else:
+            count += 1
+            work.active[count] = p
+    work.active[0] = count
 
 
 @inner_jit
 def end_contact(state: State, p: int, t: float) -> None:
     """Close the contact in progress of pair ``p``; it ended at ``t``."""
-    row = state.contact[int(state.pair[p, L.P_ID])]
-    row[L.K_ENDT] = t
-    row[L.K_STAGE] = 2.0
-    row[L.K_VERSION] += 1.0
+    k = int(state.pair[p, L.P_ID])
+    state.contact[k, L.K_ENDT] = t
+    state.contact[k, L.K_STAGE] = 2.0
+    state.contact[k, L.K_VERSION] += 1.0
     state.pair[p, L.P_ID] = -1.0
 
 
@@ -102,7 +170,7 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
             order[b + 1] = order[b]
             b -= 1
         order[b + 1] = i
-    place = np.empty(n, dtype=np.int64)
+    place = work.place
     largest = 0.0
     for a in range(n):
         place[order[a]] = a
@@ -148,28 +216,40 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
                 end_contact(state, old, state.clock[L.T])
             old += 1
         if old < old_count and state.pairs[old, 0] == i and state.pairs[old, 1] == j:
-            work.mask[p] = state.mask[old]
-            work.pair[p] = state.pair[old]
+            for k in range(8):
+                work.mask[p, k] = state.mask[old, k]
+            for k in range(L.N_PAIR):
+                work.pair[p, k] = state.pair[old, k]
             old += 1
         else:
-            work.mask[p] = 0
-            work.pair[p] = 0.0
+            for k in range(8):
+                work.mask[p, k] = 0
+            for k in range(L.N_PAIR):
+                work.pair[p, k] = 0.0
             work.pair[p, L.P_ID] = -2.0  # new: its walls are looked up below
     while old < old_count:
         if state.pair[old, L.P_ID] >= 0.0:
             end_contact(state, old, state.clock[L.T])
         old += 1
     for p in range(count):
-        state.pairs[p] = work.pairs[p]
-        state.mask[p] = work.mask[p]
-        state.pair[p] = work.pair[p]
+        i = work.pairs[p, 0]
+        j = work.pairs[p, 1]
+        state.pairs[p, 0] = i
+        state.pairs[p, 1] = j
+        for k in range(8):
+            state.mask[p, k] = work.mask[p, k]
+        for k in range(L.N_PAIR):
+            state.pair[p, k] = work.pair[p, k]
         if state.pair[p, L.P_ID] == -2.0:
             state.pair[p, L.P_ID] = -1.0
             state.pair[p, L.P_BELOW] = -1.0
-            remember_walls(model, state, p, True)
+            remember_walls(model.car, q, state.mask, p, i, j, True)
+        work.active[1 + p] = p
     for i in range(n):
         state.built[i, 0] = q[i, 0]
         state.built[i, 1] = q[i, 1]
+        work.placed[i, 0] = math.nan
+    work.active[0] = count
     state.cnt[L.N_PAIRS] = count
     state.cnt[L.REBUILDS] += 1
     return True
@@ -180,16 +260,18 @@ def track_contacts(model: Model, state: State, t: float, h: float) -> None:
     """Follow the contacts of all pairs at an accepted state: events, peaks, energy."""
     keep_separate()
     par = model.par
+    pair = state.pair
     for p in range(state.cnt[L.N_PAIRS]):
-        row = state.pair[p]
-        if row[L.P_NEAR] != 0.0:
-            remember_walls(model, state, p, False)
-        elif row[L.P_ID] < 0.0:
+        if pair[p, L.P_NEAR] == 0.0 and pair[p, L.P_ID] < 0.0:
             continue
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
-        resultant = math.sqrt(row[L.P_FX] * row[L.P_FX] + row[L.P_FY] * row[L.P_FY])
-        corner_force = row[L.P_FMAX]
+        if pair[p, L.P_NEAR] != 0.0:
+            remember_walls(model.car, state.q, state.mask, p, i, j, False)
+        resultant = math.sqrt(
+            pair[p, L.P_FX] * pair[p, L.P_FX] + pair[p, L.P_FY] * pair[p, L.P_FY]
+        )
+        corner_force = pair[p, L.P_FMAX]
         if corner_force > state.peak[i, L.PK_F]:
             state.peak[i, L.PK_F] = corner_force
             state.peak[i, L.PK_T] = t
@@ -198,49 +280,50 @@ def track_contacts(model: Model, state: State, t: float, h: float) -> None:
             state.peak[j, L.PK_F] = corner_force
             state.peak[j, L.PK_T] = t
             state.peak[j, L.PK_OTHER] = i + 1.0
-        if row[L.P_ID] < 0.0:
-            row[L.P_LAST_POWER] = row[L.P_POWER]
+        if pair[p, L.P_ID] < 0.0:
+            pair[p, L.P_LAST_POWER] = pair[p, L.P_POWER]
             if resultant < par[L.C_BEGIN]:
                 continue
             k = state.cnt[L.N_CONTACTS]
             state.cnt[L.N_CONTACTS] += 1
-            row[L.P_ID] = k
-            row[L.P_BELOW] = -1.0
+            pair[p, L.P_ID] = k
+            pair[p, L.P_BELOW] = -1.0
             contact = state.contact[k]
-            contact[:] = 0.0
+            for c in range(L.N_CONTACT):
+                contact[c] = 0.0
             # the car whose point comes faster along the normal struck the other
-            nx = row[L.P_NX]
-            ny = row[L.P_NY]
+            nx = pair[p, L.P_NX]
+            ny = pair[p, L.P_NY]
             vi = -(
-                nx * (state.v[i, 0] - state.v[i, 2] * (row[L.P_Y] - state.q[i, 1]))
-                + ny * (state.v[i, 1] + state.v[i, 2] * (row[L.P_X] - state.q[i, 0]))
+                nx * (state.v[i, 0] - state.v[i, 2] * (pair[p, L.P_Y] - state.q[i, 1]))
+                + ny * (state.v[i, 1] + state.v[i, 2] * (pair[p, L.P_X] - state.q[i, 0]))
             )
-            vj = nx * (state.v[j, 0] - state.v[j, 2] * (row[L.P_Y] - state.q[j, 1])) + ny * (
-                state.v[j, 1] + state.v[j, 2] * (row[L.P_X] - state.q[j, 0])
+            vj = nx * (state.v[j, 0] - state.v[j, 2] * (pair[p, L.P_Y] - state.q[j, 1])) + ny * (
+                state.v[j, 1] + state.v[j, 2] * (pair[p, L.P_X] - state.q[j, 0])
             )
             contact[L.K_A] = i + 1.0 if vi >= vj else j + 1.0
             contact[L.K_B] = j + 1.0 if vi >= vj else i + 1.0
             contact[L.K_START] = t
             contact[L.K_ENDT] = math.nan
-            contact[L.K_CLOSING] = row[L.P_CLOSING]
+            contact[L.K_CLOSING] = pair[p, L.P_CLOSING]
         else:
-            k = int(row[L.P_ID])
+            k = int(pair[p, L.P_ID])
             contact = state.contact[k]
-            contact[L.K_ENERGY] += 0.5 * h * (row[L.P_POWER] + row[L.P_LAST_POWER])
-            row[L.P_LAST_POWER] = row[L.P_POWER]
+            contact[L.K_ENERGY] += 0.5 * h * (pair[p, L.P_POWER] + pair[p, L.P_LAST_POWER])
+            pair[p, L.P_LAST_POWER] = pair[p, L.P_POWER]
         if corner_force > contact[L.K_PEAK]:
             if contact[L.K_STAGE] == 1.0 and corner_force > 1.01 * contact[L.K_PEAK]:
                 contact[L.K_STAGE] = 0.0
             contact[L.K_PEAK] = corner_force
             contact[L.K_PEAK_T] = t
-            corner = int(row[L.P_CORNER])
+            corner = int(pair[p, L.P_CORNER])
             contact[L.K_CORNER_CAR] = i + 1.0 if corner < 4 else j + 1.0
             contact[L.K_CORNER] = corner % 4
-            contact[L.K_X] = row[L.P_X]
-            contact[L.K_Y] = row[L.P_Y]
+            contact[L.K_X] = pair[p, L.P_X]
+            contact[L.K_Y] = pair[p, L.P_Y]
             sign = 1.0 if contact[L.K_A] == i + 1.0 else -1.0
-            contact[L.K_NX] = sign * row[L.P_NX]
-            contact[L.K_NY] = sign * row[L.P_NY]
+            contact[L.K_NX] = sign * pair[p, L.P_NX]
+            contact[L.K_NY] = sign * pair[p, L.P_NY]
             d = state.q[i, 2] - state.q[j, 2]
             contact[L.K_ANGLE] = math.atan2(abs(math.sin(d)), abs(math.cos(d)))
         elif contact[L.K_STAGE] == 0.0 and corner_force < 0.9 * contact[L.K_PEAK]:
@@ -250,8 +333,8 @@ def track_contacts(model: Model, state: State, t: float, h: float) -> None:
             contact[L.K_RES] = resultant
             contact[L.K_RES_T] = t
         if resultant >= par[L.C_END]:
-            row[L.P_BELOW] = -1.0
-        elif row[L.P_BELOW] < 0.0:
-            row[L.P_BELOW] = t
-        elif t - row[L.P_BELOW] >= par[L.C_HOLD]:
-            end_contact(state, p, row[L.P_BELOW])
+            pair[p, L.P_BELOW] = -1.0
+        elif pair[p, L.P_BELOW] < 0.0:
+            pair[p, L.P_BELOW] = t
+        elif t - pair[p, L.P_BELOW] >= par[L.C_HOLD]:
+            end_contact(state, p, pair[p, L.P_BELOW])

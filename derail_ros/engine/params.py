@@ -278,12 +278,13 @@ class IntegrationParams:
 
     Attributes
     ----------
-    method : "rkf45" (the reference) or another name of ``derail_ros.engine.METHODS``
-    rtol : relative error allowed per step
+    method : "row", of order 4 with implicit friction near rest, or "rkf45", the reference
+    rtol : relative error allowed per step, of the embedded method: of order 3 in "row"; 1e-4
+        suits "rkf45"
     stabilization : "projection" or "baumgarte"
     baumgarte_velocity, baumgarte_position : ``a`` (1/s) and ``b`` (1/s^2) [R]
-    locate_crossings : find break crossings and coupling failures inside the step; False gives
-        the source's form, tested only at the ends of steps
+    locate_crossings : find break crossings, lateral derailments and coupling failures inside the
+        step; False gives the source's form, tested only at the ends of steps
     buffer_fraction : no corner moves further than this share of the buffer in one step
     max_step, min_step : s
     rest_speed, rest_yaw_rate, rest_hold : the run ends when all cars have been slower than this
@@ -291,8 +292,8 @@ class IntegrationParams:
     time_limit : end of the run at the latest, s
     """
 
-    method: str = "rkf45"
-    rtol: float = 1e-4
+    method: str = "row"
+    rtol: float = 1e-3
     stabilization: str = "projection"
     baumgarte_velocity: float = 30.0
     baumgarte_position: float = 50.0

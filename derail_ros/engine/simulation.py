@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from derail_ros.engine import arrays as A
 from derail_ros.engine import layout as L
 from derail_ros.engine import stepper
-from derail_ros.engine.arrays import State, make_work
+from derail_ros.engine.arrays import State, Work, make_work
 from derail_ros.engine.build import (
     ARRIVALS,
     ENDS,
@@ -22,6 +22,7 @@ from derail_ros.engine.build import (
     validate,
 )
 from derail_ros.engine.dynamics import (
+    PLAIN,
     accelerations,
     project_positions,
     project_velocities,
@@ -47,6 +48,7 @@ from derail_ros.engine.sample import Outcome, Sample
 from derail_ros.engine.serial import from_plain, pack, to_plain, unpack
 from derail_ros.engine.solver import plain_masses
 from derail_ros.engine.track import Track
+from derail_ros.engine.warming import ensure_compiled
 
 ENERGY_ENTRIES = (
     "kinetic",
@@ -107,6 +109,13 @@ _BEFORE_AFTER = {
 }
 
 
+def _all_active(state: State, work: Work) -> None:
+    """Let the next evaluation look at every pair of the neighbour list."""
+    count = int(state.cnt[L.N_PAIRS])
+    work.active[0] = count
+    work.active[1 : 1 + count] = np.arange(count)
+
+
 class Simulation:
     """One derailment.
 
@@ -127,6 +136,7 @@ class Simulation:
 
     def __init__(self, params: TrainParams) -> None:
         validate(params)
+        ensure_compiled()
         self.params = params
         self.track = Track(params.track)
         self._model = build_model(params, self.track)
@@ -196,8 +206,9 @@ class Simulation:
         """Accelerations, multipliers and powers of the state as it stands, into the state."""
         s, work = self._state, self._work
         s.clock[L.T_ON] = s.clock[L.T]
+        _all_active(s, work)
         ok = accelerations(
-            self._model, s, work, self.time, s.truck_on, s.coupled, s.q, s.v, s.a, False
+            self._model, s, work, self.time, s.truck_on, s.coupled, s.q, s.v, s.a, PLAIN
         )
         s.power[:] = work.power
         s.rail_force[:] = work.lam_t
@@ -268,6 +279,7 @@ class Simulation:
             "limited_by_accuracy": int(c[L.LIMIT_ACCURACY]),
             "limited_by_cap": int(c[L.LIMIT_CAP]),
             "limited_otherwise": int(c[L.LIMIT_OTHER]),
+            "implicit": int(c[L.IMPLICIT_STEPS]),
         }
 
     @property
@@ -597,7 +609,7 @@ class Simulation:
         s = self._state
         n = self.n_cars
         if self._report is None:
-            self._report = make_work(n, 0, 0, True)
+            self._report = make_work(n, len(s.pairs), 0, True)
             plain_masses(self._model, self._report.wk)
         work = self._report
         inside = t < self.time
@@ -620,6 +632,7 @@ class Simulation:
             truck_on=(s.truck_on0 if inside else s.truck_on).copy(),
             coupled=(s.coupled0 if inside else s.coupled).copy(),
         )
+        _all_active(s, work)
         if not accelerations(
             self._model,
             view,
@@ -630,7 +643,7 @@ class Simulation:
             q,
             v,
             work.dx,
-            False,
+            PLAIN,
         ):
             raise ConstraintError("the constraint equations cannot be solved", self)
         r = work.report

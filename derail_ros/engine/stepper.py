@@ -1,4 +1,4 @@
-"""Steps of a run: Runge-Kutta-Fehlberg 4(5), projection, removal of constraints, events.
+"""Steps of a run: integration, projection, removal of constraints, events.
 
 A step goes from one accepted state to the next. Within it the set of constraints and of switched
 forces is fixed; a truck's passing of a rail break and a coupling's reaching its limit angle are
@@ -8,20 +8,31 @@ found inside the step, which is shortened to end there.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.dynamics import accelerations, project_positions, project_velocities
+from derail_ros.engine.dynamics import (
+    FACTORED,
+    PLAIN,
+    accelerations,
+    onto_constraints,
+    project_velocities,
+)
 from derail_ros.engine.events import EventKind
 from derail_ros.engine.forces import coupler_energy, kinetic_energy
 from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
-from derail_ros.engine.methods import ROW
-from derail_ros.engine.neighbours import end_contact, list_is_stale, rebuild, track_contacts
-from derail_ros.engine.rkf45 import rkf45_step
-from derail_ros.engine.row import row_step
+from derail_ros.engine.neighbours import (
+    end_contact,
+    list_is_stale,
+    rebuild,
+    refresh_active,
+    track_contacts,
+)
+from derail_ros.engine.runge_kutta import step_error, take_stages
 from derail_ros.engine.solver import constraint_error, truck_rows
 from derail_ros.engine.trigonometry import angles
 
@@ -44,14 +55,46 @@ NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
 LOCATED = 1e-7
 """A crossing is located to this, m (breaks) or rad (couplings)."""
 
+OVERLOAD = 1e-3
+"""A lateral derailment is located to this, relative to the limit."""
+
+
+@inner_jit
+def speed_of(v: F64, i: int) -> float:
+    """Speed of the mass centre of car ``i``, m/s."""
+    return math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+
+
+@inner_jit
+def copy_rows(to: NDArray[Any], what: NDArray[Any]) -> None:
+    """Copy a two-dimensional array."""
+    for i in range(to.shape[0]):
+        for k in range(to.shape[1]):
+            to[i, k] = what[i, k]
+
+
+@inner_jit
+def copy_items(to: NDArray[Any], what: NDArray[Any]) -> None:
+    """Copy a one-dimensional array."""
+    for i in range(to.shape[0]):
+        to[i] = what[i]
+
+
+@inner_jit
+def breaks_in_use(breaks: F64) -> int:
+    """Number of rail breaks: the unused rows are infinite and come last."""
+    count = 0
+    while count < breaks.shape[0] and breaks[count] < math.inf:
+        count += 1
+    return count
+
 
 @inner_jit
 def step_cap(model: Model, v: F64) -> float:
     """Largest step in which no corner moves further than its share of the buffer, s."""
     fastest = 1e-9
     for i in range(v.shape[0]):
-        speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        fastest = max(fastest, speed + abs(v[i, 2]) * model.car[i, L.RADIUS])
+        fastest = max(fastest, speed_of(v, i) + abs(v[i, 2]) * model.car[i, L.RADIUS])
     return min(model.par[L.H_MAX], model.par[L.STEP_SHARE] / fastest)
 
 
@@ -111,13 +154,14 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
     keep_separate()
     share = 1.0
     wk = work.wk
+    breaks = breaks_in_use(state.breaks)
     for i in range(state.q.shape[0]):
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
             s0 = work.truck_s[i, k]
             s1 = state.truck_s[i, k]
-            for b in range(state.breaks.shape[0]):
+            for b in range(breaks):
                 sb = state.breaks[b]
                 sign = 1.0 if s1 > s0 else -1.0
                 g0 = sign * (s0 - sb)
@@ -151,6 +195,32 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
 
 
 @inner_jit
+def first_overload(model: Model, state: State, work: Work) -> float:
+    """Share of the step at which the first truck reaches its lateral limit, by the secant.
+
+    Forces at the end of the step are in ``work.lam_t``. 1.0 without one, or when the first is
+    within ``OVERLOAD`` of the limit already; 0.0 when a truck is above it from the start, because
+    another constraint has gone.
+    """
+    share = 1.0
+    for i in range(state.q.shape[0]):
+        if model.car[i, L.VIRTUAL] != 0.0:
+            continue
+        limit = model.par[L.LV_LIMIT] * 0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS]
+        for k in range(2):
+            if state.truck_on[i, k] == 0:
+                continue
+            f1 = abs(work.lam_t[i, k])
+            if f1 > limit * (1.0 + OVERLOAD):
+                f0 = abs(state.rail_force[i, k])
+                if f0 >= limit:
+                    share = 0.0
+                else:
+                    share = min(share, (limit * (1.0 + 0.5 * OVERLOAD) - f0) / (f1 - f0))
+    return share
+
+
+@inner_jit
 def add_event(
     state: State,
     work: Work,
@@ -170,7 +240,8 @@ def add_event(
     keep_separate()
     k = state.cnt[L.N_EVENTS]
     while k > 0 and work.event[k - 1, L.V_TIME] > t:
-        work.event[k] = work.event[k - 1]
+        for c in range(L.N_EVENT):
+            work.event[k, c] = work.event[k - 1, c]
         k -= 1
     row = work.event[k]
     row[L.V_KIND] = kind
@@ -197,7 +268,7 @@ def derail_truck(
     t = state.clock[L.T]
     state.truck_on[i, k] = 0
     r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
-    speed = math.hypot(state.v[i, 0], state.v[i, 1])
+    speed = speed_of(state.v, i)
     if math.isnan(state.peak[i, L.PK_DERAIL_T]):
         state.peak[i, L.PK_DERAIL_T] = t
         state.peak[i, L.PK_DERAIL_V] = speed
@@ -239,12 +310,11 @@ def part_coupling(
     state.coupled[i] = 0
     after = coupler_energy(model, state.coupled, state.q)
     state.energy[L.E_KNUCKLE] += before[1] - after[1]
-    c = model.car[i]
-    ct = math.cos(state.q[i, 2])
-    st = math.sin(state.q[i, 2])
-    x = state.q[i, 0] - c[L.DP] * ct - c[L.DCR] * math.cos(state.q[i, 4])
-    y = state.q[i, 1] - c[L.DP] * st - c[L.DCR] * math.sin(state.q[i, 4])
-    speed = math.hypot(state.v[i, 0], state.v[i, 1])
+    arm = model.car[i, L.DP]
+    reach = model.car[i, L.DCR]
+    x = state.q[i, 0] - arm * math.cos(state.q[i, 2]) - reach * math.cos(state.q[i, 4])
+    y = state.q[i, 1] - arm * math.sin(state.q[i, 2]) - reach * math.sin(state.q[i, 4])
+    speed = speed_of(state.v, i)
     add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
     if model.par[L.VENT] != 0.0:
         at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
@@ -262,6 +332,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
     changed = False
     n = state.q.shape[0]
     weight = 0.5 * model.par[L.GRAVITY]
+    breaks = breaks_in_use(state.breaks)
     for i in range(n):
         virtual = model.car[i, L.VIRTUAL] != 0.0
         for k in range(2):
@@ -270,7 +341,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             s0 = work.truck_s[i, k]
             s1 = state.truck_s[i, k]
             passed = math.nan
-            for b in range(state.breaks.shape[0]):
+            for b in range(breaks):
                 sb = state.breaks[b]
                 # moving forward onto it, or backward
                 if (s1 > s0 and s0 <= sb <= s1 + LOCATED) or (
@@ -283,7 +354,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
                     add_event(
                         state, work, RUN_VOID, state.clock[L.T], i + 1, 0, k + 1, L.CAUSE_BREAK,
                         state.q[i, 0], state.q[i, 1], s1,
-                        math.hypot(state.v[i, 0], state.v[i, 1]), passed,
+                        speed_of(state.v, i), passed,
                     )  # fmt: skip
                     return changed
                 derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
@@ -296,10 +367,9 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
                 derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
                 changed = True
                 if model.par[L.BREAK_FOLLOWS] != 0.0:
-                    for b in range(state.breaks.shape[0]):
-                        if math.isinf(state.breaks[b]):
-                            state.breaks[b] = s1
-                            break
+                    if breaks < state.breaks.shape[0]:
+                        state.breaks[breaks] = s1
+                        breaks += 1
                     add_event(
                         state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
                         L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
@@ -330,11 +400,11 @@ def note_progress(model: Model, state: State, work: Work) -> None:
             add_event(
                 state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u, L.U_NUMBER]), 0, 0,
                 L.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
-                math.hypot(state.v[i, 0], state.v[i, 1]), model.unit[u, L.U_DIST],
+                speed_of(state.v, i), model.unit[u, L.U_DIST],
             )  # fmt: skip
     resting = True
     for i in range(state.q.shape[0]):
-        speed = math.hypot(state.v[i, 0], state.v[i, 1])
+        speed = speed_of(state.v, i)
         rate = abs(state.v[i, 2])
         if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
             resting = False
@@ -402,6 +472,26 @@ def on_track(model: Model, state: State) -> bool:
     return True
 
 
+@inner_jit
+def keep_last(state: State) -> None:
+    """Remember the accepted state as the beginning of the last step."""
+    copy_rows(state.q0, state.q)
+    copy_rows(state.v0, state.v)
+    copy_rows(state.a0, state.a)
+    copy_rows(state.truck_on0, state.truck_on)
+    copy_items(state.coupled0, state.coupled)
+    copy_items(state.energy0, state.energy)
+    copy_items(state.power0, state.power)
+
+
+@inner_jit
+def keep_forces(state: State, work: Work) -> None:
+    """Powers and multipliers of the last evaluation into the state."""
+    copy_items(state.power, work.power)
+    copy_rows(state.rail_force, work.lam_t)
+    copy_rows(state.coupler_force, work.lam_c)
+
+
 @inline_jit
 def step(model: Model, state: State, work: Work) -> int:
     """Take one accepted step. Returns DONE or one of the error codes."""
@@ -411,9 +501,12 @@ def step(model: Model, state: State, work: Work) -> int:
     t = clock[L.T]
     floor = par[L.H_MIN]
     project = par[L.PROJECT] != 0.0
-    row = par[L.METHOD] == ROW
-    order = 1.0 / 3.0 if row else 0.2
-    work.truck_s[:] = state.truck_s
+    stages = (model.table.shape[0] - 4) // 2
+    # the slope at the new state counts in the error, and the last stage stood there
+    to_end = model.table[2 * stages + 1, stages] != 0.0
+    last_at_end = model.table[2 * stages + 2, stages - 1] == 1.0
+    exponent = model.table[2 * stages + 3, 1]
+    copy_rows(work.truck_s, state.truck_s)
     clock[L.T_ON] = t
     switch = next_switch(model, state, t)
     cap = step_cap(model, state.v)
@@ -434,97 +527,119 @@ def step(model: Model, state: State, work: Work) -> int:
     rejected = False
     grow = 1.0
     e_before = 0.0
+    after = t
+    way = 0
     while True:
+        # 0: go on; 1: the error is too large; 2: the projection fails; 3: a crossing inside
+        verdict = 0
+        error = math.inf
+        after = switch if t + h >= switch else t + h
         # feet of the trucks start from the accepted state, whatever a rejected try left
-        state.truck_s[:] = work.truck_s
-        if row:
-            error = row_step(model, state, work, h)
-        else:
-            error = rkf45_step(model, state, work, h)
-        ok = math.isfinite(error)
-        grow = 0.2
-        if ok:
-            grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -order))
-        if not ok or error > 1.0:
-            cnt[L.REJECTED] += 1
-            rejected = True
+        copy_rows(state.truck_s, work.truck_s)
+        way = take_stages(model, state, work, h, stages)
+        if way >= 0 and not to_end:
+            error = step_error(model, state, work, h, stages, stages)
+            if not error <= 1.0:
+                verdict = 1
+        elif way < 0:
+            verdict = 1
+        if verdict == 0:
+            striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
+            e_before = kinetic_energy(model, work.stage_v) + striker + knuckle
+            if project:
+                if onto_constraints(
+                    model, state, work, state.truck_on, state.coupled, work.stage_q,
+                    last_at_end and way == 0,
+                ):  # fmt: skip
+                    project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
+                else:
+                    verdict = 2
+            else:
+                angles(work.stage_q, work.wk, work.ang)
+                truck_rows(
+                    model.car, model.track, state.truck_s, state.truck_on, work.stage_q, work.wk
+                )
+        if verdict == 0 and par[L.LOCATE] != 0.0:
+            share = first_crossing(model, state, work, h)
+            # a truck that stands on the break derails within the smallest step
+            located = max(share * h, floor)
+            if share < 1.0 and located < h:
+                h = located
+                limit = L.LIMIT_OTHER
+                switch = math.inf
+                verdict = 3
+        if verdict == 0:
+            if not accelerations(
+                model, state, work, after, state.truck_on, state.coupled, work.stage_q,
+                work.stage_v, work.kv[stages], FACTORED if project else PLAIN,
+            ):  # fmt: skip
+                copy_rows(state.truck_s, work.truck_s)
+                return SINGULAR
+            if to_end:
+                for i in range(state.q.shape[0]):
+                    for k in range(5):
+                        work.kq[stages, i, k] = work.stage_v[i, k]
+                error = step_error(model, state, work, h, stages, stages + 1)
+                if not error <= 1.0:
+                    verdict = 1
+        if verdict == 0 and par[L.LOCATE] != 0.0:
+            located = max(first_overload(model, state, work) * h, floor)
+            if located < h:
+                h = located
+                limit = L.LIMIT_OTHER
+                switch = math.inf
+                verdict = 3
+        if verdict == 0:
+            grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -exponent))
+            break
+        if verdict == 3:
+            continue
+        cnt[L.REJECTED] += 1
+        rejected = True
+        if verdict == 1:
+            ok = math.isfinite(error)
+            shrink = 0.2
+            if ok:
+                shrink = min(0.9, max(0.2, 0.85 * error**-exponent))
             limit = L.LIMIT_ACCURACY
-            h *= min(grow, 0.9)
+            h *= shrink
             wanted = h
             if h < floor:
-                state.truck_s[:] = work.truck_s
+                copy_rows(state.truck_s, work.truck_s)
                 return STEP_FLOOR if ok else NON_FINITE
-            continue
-        striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
-        e_before = kinetic_energy(model, work.stage_v) + striker + knuckle
-        if project:
-            if not project_positions(
-                model, state, work, state.truck_on, state.coupled, work.stage_q
-            ):
-                cnt[L.REJECTED] += 1
-                rejected = True
-                h *= 0.25
-                wanted = h
-                if h < floor:
-                    state.truck_s[:] = work.truck_s
-                    return SINGULAR
-                continue
-            project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
         else:
-            angles(work.stage_q, work.wk)
-            truck_rows(model, state, state.truck_on, work.stage_q, work.wk)
-        if par[L.LOCATE] != 0.0:
-            share = first_crossing(model, state, work, h)
-            if share < 1.0:
-                # a truck that stands on the break derails within the smallest step
-                located = max(share * h, floor)
-                if located < h:
-                    h = located
-                    limit = L.LIMIT_OTHER
-                    switch = math.inf
-                    continue
-        break
-
-    after = switch if t + h >= switch else t + h
-    if not accelerations(
-        model, state, work, after, state.truck_on, state.coupled, work.stage_q, work.stage_v,
-        work.dx, project,
-    ):  # fmt: skip
-        state.truck_s[:] = work.truck_s
-        return SINGULAR
+            h *= 0.25
+            wanted = h
+            if h < floor:
+                copy_rows(state.truck_s, work.truck_s)
+                return SINGULAR
     for i in range(state.q.shape[0]):
         for k in range(5):
-            if not math.isfinite(work.dx[i, k] + work.stage_q[i, k] + work.stage_v[i, k]):
-                state.truck_s[:] = work.truck_s
+            if not math.isfinite(work.kv[stages, i, k] + work.stage_q[i, k] + work.stage_v[i, k]):
+                copy_rows(state.truck_s, work.truck_s)
                 return NON_FINITE
 
     # accepted
     clock[L.T_PREV] = t
     clock[L.T] = after
-    state.q0[:] = state.q
-    state.v0[:] = state.v
-    state.a0[:] = state.a
-    state.truck_on0[:] = state.truck_on
-    state.coupled0[:] = state.coupled
-    state.energy0[:] = state.energy
-    state.power0[:] = state.power
-    state.q[:] = work.stage_q
-    state.v[:] = work.stage_v
+    keep_last(state)
+    copy_rows(state.q, work.stage_q)
+    copy_rows(state.v, work.stage_v)
     for k in range(L.N_POWER):
         state.energy[k] += h * work.mean_power[k]
     striker, knuckle = coupler_energy(model, state.coupled, state.q)
-    moved = kinetic_energy(model, state.v) + striker + knuckle - e_before
+    stored = kinetic_energy(model, state.v) + striker + knuckle
+    moved = stored - e_before
     state.energy[L.E_STAB_NET] += moved
     state.energy[L.E_STAB_GROSS] += abs(moved)
     cnt[L.STEP] += 1
     cnt[limit] += 1
-    state.a1[:] = work.dx
-    state.a[:] = work.dx
-    state.power[:] = work.power
-    state.power1[:] = work.power
-    state.rail_force[:] = work.lam_t
-    state.coupler_force[:] = work.lam_c
-    gap, offset = constraint_error(model, state.truck_on, state.coupled, state.q, work.wk)
+    cnt[L.IMPLICIT_STEPS] += way
+    copy_rows(state.a1, work.kv[stages])
+    copy_rows(state.a, state.a1)
+    copy_items(state.power1, work.power)
+    keep_forces(state, work)
+    gap, offset = constraint_error(model.car, state.truck_on, state.coupled, state.q, work.wk)
     clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
     clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
 
@@ -535,12 +650,10 @@ def step(model: Model, state: State, work: Work) -> int:
         clock[L.T_ON] = clock[L.T]
         if not accelerations(
             model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v,
-            state.a, False,
+            state.a, PLAIN,
         ):  # fmt: skip
             return SINGULAR
-        state.power[:] = work.power
-        state.rail_force[:] = work.lam_t
-        state.coupler_force[:] = work.lam_c
+        keep_forces(state, work)
     if clock[L.E_INITIAL] > 0.0:
         clock[L.MAX_RESIDUAL] = max(
             clock[L.MAX_RESIDUAL], abs(energy_residual(model, state)) / clock[L.E_INITIAL]
@@ -563,6 +676,7 @@ def advance(model: Model, state: State, work: Work, t_target: float, max_steps: 
     n = state.q.shape[0]
     event_room = 6 * n + state.arrival.shape[0] + 8
     taken = 0
+    work.placed[0, 0] = math.nan
     while state.clock[L.T] < t_target and taken < max_steps and state.cnt[L.STATUS] == L.RUNNING:
         if list_is_stale(model, state):
             if not rebuild(model, state, work):
@@ -571,6 +685,7 @@ def advance(model: Model, state: State, work: Work, t_target: float, max_steps: 
             return GROW_CONTACTS
         if work.event.shape[0] - state.cnt[L.N_EVENTS] < event_room:
             return DRAIN
+        refresh_active(model, state, work)
         code = step(model, state, work)
         if code != DONE:
             state.cnt[L.STATUS] = L.FAILED

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
-from derail_ros.engine.jit import inner_jit, jit
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
 
 F64 = NDArray[np.float64]
 
@@ -23,12 +23,13 @@ _TWO_OVER_PI = 2.0 / math.pi
 _P1 = float.fromhex("0x1.921fb544p+0")
 _P2 = float.fromhex("0x1.0b4611a6p-34")
 _P3 = float.fromhex("0x1.3198a2e037073p-69")
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding and taking it away rounds to a whole number
 
 
 @jit
 def sincos(x: float) -> tuple[float, float]:
-    """``(sin x, cos x)`` for |x| < 1e5 rad."""
-    k = math.floor(x * _TWO_OVER_PI + 0.5)
+    """``(sin x, cos x)`` for |x| < 1e5 rad; no branches, so that loops of it become vectors."""
+    k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     r = ((x - k * _P1) - k * _P2) - k * _P3
     z = r * r
     s = r + r * z * (
@@ -66,20 +67,37 @@ def sincos(x: float) -> tuple[float, float]:
             )
         )
     )
-    # quadrant, without a branch
-    half = k - 2.0 * math.floor(0.5 * k)
-    sign_s = 1.0 - 2.0 * (0.5 * (k - half) - 2.0 * math.floor(0.25 * (k - half)))
-    sign_c = sign_s * (1.0 - 2.0 * half)
+    # k = 2 t + odd: for odd = +-1 rounding to even leaves t even, for odd = 0 its parity counts
+    t = (0.5 * k + _ROUND) - _ROUND
+    odd = k - 2.0 * t
+    sign = 1.0 - 2.0 * abs(t - 2.0 * ((0.5 * t + _ROUND) - _ROUND))
+    even = odd == 0.0
     return (
-        sign_s * (s if half == 0.0 else c),
-        (sign_s if half == 0.0 else sign_c) * (c if half == 0.0 else s),
+        (sign if even else odd) * (s if even else c),
+        (sign if even else -odd) * (c if even else s),
     )
 
 
 @inner_jit
-def angles(q: F64, wk: F64) -> None:
-    """Cosines and sines of yaw and coupler angles of every car into ``wk``."""
-    for i in range(q.shape[0]):
-        wk[i, L.W_ST], wk[i, L.W_CT] = sincos(q[i, 2])
-        wk[i, L.W_SA], wk[i, L.W_CA] = sincos(q[i, 3])
-        wk[i, L.W_SB], wk[i, L.W_CB] = sincos(q[i, 4])
+def angles(q: F64, wk: F64, ang: F64) -> None:
+    """Cosines and sines of yaw and coupler angles of every car into ``wk``.
+
+    ``ang``: (3, 3 N) scratch: angles, sines, cosines.
+    """
+    keep_separate()
+    n = q.shape[0]
+    for i in range(n):
+        ang[0, 3 * i] = q[i, 2]
+        ang[0, 3 * i + 1] = q[i, 3]
+        ang[0, 3 * i + 2] = q[i, 4]
+    for m in range(3 * n):
+        s, c = sincos(ang[0, m])
+        ang[1, m] = s
+        ang[2, m] = c
+    for i in range(n):
+        wk[i, L.W_CT] = ang[2, 3 * i]
+        wk[i, L.W_ST] = ang[1, 3 * i]
+        wk[i, L.W_CA] = ang[2, 3 * i + 1]
+        wk[i, L.W_SA] = ang[1, 3 * i + 1]
+        wk[i, L.W_CB] = ang[2, 3 * i + 2]
+        wk[i, L.W_SB] = ang[1, 3 * i + 2]

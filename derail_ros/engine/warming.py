@@ -1,7 +1,23 @@
-"""Compile all kernels, or load them from the cache, before they are needed."""
+"""Compile all kernels, or load them from the cache, before they are needed.
+
+Kernels are compiled once for a machine and a version of the sources (see ``jit``), which takes
+half a minute. Whoever builds the first run does it for all: other processes wait for a file lock
+and then load the cache. A marker in the cache folder says that it is complete.
+"""
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from derail_ros.engine.jit import CACHE_DIR, FOLDER_PREFIX
 from derail_ros.engine.params import (
     BrakeUnit,
     Car,
@@ -10,8 +26,87 @@ from derail_ros.engine.params import (
     TrainParams,
 )
 
+try:
+    import fcntl
+except ImportError:  # not on this platform: no lock, processes may compile side by side
+    fcntl = None  # type: ignore[assignment]
 
-def warm_up() -> None:
+COMPLETE = "complete"
+STALE_AFTER = 14 * 86400.0
+"""Cache folders of other versions go when they have not been used for this long, s."""
+
+_state = threading.local()
+_mutex = threading.Lock()
+_ready = False
+_use: IO[bytes] | None = None
+
+
+def _say(text: str) -> None:
+    print(f"derail_ros: {text}", file=sys.stderr, flush=True)
+
+
+def _lock(file: IO[bytes], shared: bool, wait: bool) -> bool:
+    """Take a lock on an open file; False when it is held and ``wait`` is not."""
+    if fcntl is None:
+        return True
+    how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    try:
+        fcntl.flock(file, how if wait else how | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def _only_one(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Hold the folder's lock: one process compiles, the others wait."""
+    try:
+        file = open(folder / "lock", "wb")
+    except OSError:  # a folder that cannot be written: each for itself
+        yield
+        return
+    with file:
+        if not _lock(file, shared=False, wait=False):
+            say("another process is compiling the kernels; waiting for it")
+            _lock(file, shared=False, wait=True)
+        yield
+
+
+def _hold(folder: Path) -> None:
+    """Show for as long as this process lives that the folder is in use."""
+    global _use
+    try:
+        _use = open(folder / "use", "wb")
+        _lock(_use, shared=True, wait=False)
+        os.utime(folder / COMPLETE)
+    except OSError:
+        pass  # a cache that is only read
+
+
+def remove_stale(root: Path, keep: Path, older_than: float = STALE_AFTER) -> list[Path]:
+    """Remove cache folders of other versions that no process uses and none has for a while."""
+    removed = []
+    for folder in root.glob(f"{FOLDER_PREFIX}*"):
+        if folder == keep or not folder.is_dir():
+            continue
+        try:
+            marker = folder / COMPLETE
+            last = (marker if marker.exists() else folder).stat().st_mtime
+            if time.time() - last < older_than:
+                continue
+            with open(folder / "use", "ab") as use, open(folder / "lock", "ab") as lock:
+                if not _lock(use, shared=False, wait=False):
+                    continue
+                if not _lock(lock, shared=False, wait=False):
+                    continue
+                shutil.rmtree(folder, ignore_errors=True)
+                removed.append(folder)
+        except OSError:
+            continue
+    return removed
+
+
+def _exercise() -> None:
     """Run a train of three cars for a moment, through every kernel a run uses."""
     from derail_ros.engine.simulation import Simulation
 
@@ -35,3 +130,51 @@ def warm_up() -> None:
     run.sample()
     run.sample(0.5 * (run.previous_time + run.time))
     run.outcome()
+
+
+def _compile(say: Callable[[str], None]) -> None:
+    marker = CACHE_DIR / COMPLETE
+    with _only_one(CACHE_DIR, say):
+        if marker.exists():
+            return
+        say(f"compiling the kernels for this machine, once (about half a minute; {CACHE_DIR})")
+        began = time.perf_counter()
+        _exercise()
+        say(f"compiled in {time.perf_counter() - began:.0f} s")
+        try:
+            marker.touch()
+        except OSError:
+            return
+        remove_stale(CACHE_DIR.parent, CACHE_DIR)
+
+
+def ensure_compiled(say: Callable[[str], None] | None = None) -> None:
+    """Compile the kernels unless the cache holds them; ``say`` gets messages if so.
+
+    Every run calls this when it is built; after the first time it costs nothing. Messages go to
+    the standard error if nobody asks for them.
+    """
+    global _ready
+    if _ready or getattr(_state, "inside", False):
+        return
+    with _mutex:
+        if _ready:
+            return
+        _state.inside = True
+        try:
+            if not (CACHE_DIR / COMPLETE).exists():
+                _compile(say or _say)
+            _hold(CACHE_DIR)
+            _ready = True
+        finally:
+            _state.inside = False
+
+
+def warm_up(callback: Callable[[str], Any] | None = None) -> None:
+    """Compile all kernels, or load them from the cache.
+
+    ``callback`` is told, in a sentence, when compiling begins and ends; nothing is said when the
+    cache is complete. Without one the messages go to the standard error.
+    """
+    ensure_compiled(callback)
+    _exercise()

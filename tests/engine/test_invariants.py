@@ -55,7 +55,8 @@ def entry(sample, name):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_free_chain_keeps_momentum_and_energy(method):
     # strikers into their second stiffness, knuckles at work
-    params = tight(free_train(mixed_cars(6), speed=3.0, contact=NO_CONTACT), 1e-8, method=method)
+    rtol = {"rkf45": 1e-8, "row": 1e-9}[method]
+    params = tight(free_train(mixed_cars(6), speed=3.0, contact=NO_CONTACT), rtol, method=method)
     run = kicked(params, seed=3, angle=0.12, rate=0.4)
     first = run.sample()
     before = momentum(params, first)
