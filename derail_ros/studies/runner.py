@@ -146,6 +146,8 @@ def run_study(
             journal.path.unlink()
     except JournalError as error:
         raise StudyError(str(error)) from None
+    except OSError as error:  # the disk is full, the folder was taken away
+        raise StudyError(f"{folder}: {error.strerror or error}") from None
     return folder
 
 
