@@ -193,12 +193,12 @@ def _corner_contacts(
         if wall == FRONT or wall == REAR:
             nu = 1.0 if wall == FRONT else -1.0
             gap = nu * ju - a_j
-            if flip and on_line(jw, b_j):
+            if flip and on_line(jw, b_j, s):
                 continue
         elif (wall & (FRONT | REAR)) == 0:
             nw = 1.0 if wall == LEFT else -1.0
             gap = nw * jw - b_j
-            if flip and on_line(ju, a_j):
+            if flip and on_line(ju, a_j, s):
                 continue
         else:
             if flip:

@@ -69,14 +69,15 @@ def outside_mask(u: float, w: float, a: float, b: float) -> int:
 
 
 @jit
-def on_line(x: float, half: float) -> bool:
-    """A corner at the coordinate ``x`` along a wall lies at the wall's very end.
+def on_line(x: float, half: float, turn: float) -> bool:
+    """A corner at the coordinate ``x`` along a wall meets the corner of an aligned body there.
 
-    Cars on straight track are exactly aligned: all four corners of a head-on impact lie on the
-    ends of the walls they meet, where a shift of the last bit would leave two of them. Of such
-    contacts only those of the pair's first car count: the force of the neighbouring positions.
+    ``turn`` is the sine of the angle between the bodies. Cars on straight track are exactly
+    aligned: all four corners of a head-on impact lie on the ends of the walls they meet, where a
+    shift of the last bit would leave two of them. Of such contacts only those of the pair's first
+    car count: the force of the neighbouring positions.
     """
-    return abs(abs(x) - half) <= ON_LINE
+    return abs(abs(x) - half) <= ON_LINE and abs(turn) <= ON_LINE
 
 
 @jit
