@@ -586,10 +586,15 @@ class Integration(Section):
         IntegrationParams,
         "method",
         "",
-        "rkf45 (the reference) or another method of the engine",
+        "row (friction near rest implicit) or rkf45 (the reference)",
     )
     rtol: Number = _engine(
-        IntegrationParams, "rtol", "1", "relative error allowed per step", ge=1e-12, le=0.1
+        IntegrationParams,
+        "rtol",
+        "1",
+        "relative error allowed per step; 1e-4 suits rkf45",
+        ge=1e-12,
+        le=0.1,
     )
     stabilization: Literal["projection", "baumgarte"] = _engine(
         IntegrationParams, "stabilization", "", "projection or baumgarte"
