@@ -225,7 +225,8 @@ def test_the_engine_knows_nothing_of_ros_and_opens_no_file(path, modules):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
-    assert path.name == "jit.py" or "open" not in calls
+    # the cache of the kernels and its lock are the exception
+    assert path.name in ("jit.py", "warming.py") or "open" not in calls
 
 
 @pytest.mark.parametrize("executable", ["simulator", "recorder", "player"])
