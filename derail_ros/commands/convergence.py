@@ -69,7 +69,7 @@ def run(
 def _print(study: Any) -> None:
     from rich.table import Table
 
-    from derail_ros.studies.convergence import MEASURES, median_time, power
+    from derail_ros.studies.convergence import MEASURES, median_time
 
     console = common.out()
     if not console.is_terminal:
@@ -79,7 +79,7 @@ def _print(study: Any) -> None:
         table.add_column(heading, justify="right")
     for m in MEASURES:
         table.add_column(f"{m.label} ({m.unit})", justify="right")
-    for level in study.levels:
+    for level in study.all:
         tightest = level is study.levels[-1]
         cells = []
         for m in MEASURES:
@@ -87,7 +87,7 @@ def _print(study: Any) -> None:
             text = f"{x.mean:.{m.digits}f} ± {x.half:.{m.digits}f}"
             cells.append(text if x.agrees else f"[bold]{text}[/bold]")
         when = "" if tightest else median_time(level.partings)
-        table.add_row(power(level.rtol), f"{level.steps:.0f}", when, *cells)
+        table.add_row(level.label, f"{level.steps:.0f}", when, *cells)
     console.print(table)
     console.print(
         "Mean with its 95 % confidence; bold: the difference from the tightest is larger than "

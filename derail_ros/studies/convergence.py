@@ -41,6 +41,8 @@ F64 = NDArray[np.float64]
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 SCENARIOS = ("mississauga_published", "base_train")
+REFERENCE = ("rkf45", 1e-5)
+"""Integrator of the source and a tolerance for it, run beside the others."""
 
 INTERVAL = 0.1
 """Time between two looks at the positions, s."""
@@ -201,6 +203,7 @@ class Level:
     Attributes
     ----------
     rtol : tolerance
+    method : integrator; "" for the scenario's own
     members : runs that count, here and at the tightest
     steps : median number
     gap, residual : largest constraint error (m) and energy imbalance of all
@@ -210,6 +213,7 @@ class Level:
     """
 
     rtol: float
+    method: str
     members: int
     steps: float
     gap: float
@@ -218,10 +222,16 @@ class Level:
     contacts: F64
     measures: Mapping[str, Comparison]
 
+    @property
+    def label(self) -> str:
+        """The tolerance, with the integrator if it is another."""
+        return f"{self.method} {power(self.rtol)}" if self.method else power(self.rtol)
+
     def as_dict(self) -> dict[str, Any]:
         """As plain data."""
         return {
             "rtol": self.rtol,
+            "method": self.method or None,
             "members": self.members,
             "steps": self.steps,
             "largest_constraint_error_m": self.gap,
@@ -246,13 +256,32 @@ class Level:
 
 @dataclass(frozen=True)
 class Convergence:
-    """A scenario at all tolerances, the loosest first."""
+    """A scenario at all tolerances, the loosest first.
+
+    Attributes
+    ----------
+    name, title : of the scenario
+    method, default_rtol : of the scenario
+    levels : of its own integrator
+    reference : another integrator
+    """
 
     name: str
     title: str
     method: str
     default_rtol: float
     levels: tuple[Level, ...]
+    reference: Level | None = None
+
+    @property
+    def all(self) -> tuple[Level, ...]:
+        """With the reference."""
+        return self.levels if self.reference is None else (*self.levels, self.reference)
+
+    @property
+    def compared(self) -> tuple[Level, ...]:
+        """All but the tightest."""
+        return tuple(level for level in self.all if level is not self.levels[-1])
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -262,6 +291,7 @@ class Convergence:
             "method": self.method,
             "default_rtol": self.default_rtol,
             "tolerances": [level.as_dict() for level in self.levels],
+            "reference": None if self.reference is None else self.reference.as_dict(),
         }
 
 
@@ -271,6 +301,7 @@ def convergence(
     seed: int = 0,
     *,
     tolerances: Sequence[float] = TOLERANCES,
+    reference: tuple[str, float] | None = REFERENCE,
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     run: Callable[..., Iterator[Result]] = run_many,
@@ -288,14 +319,19 @@ def convergence(
         raise ValueError("tolerances: at least two are compared")
     if members < 3:
         raise ValueError(f"members: must be at least 3, not {members}")
-    total, done = members * len(rtols), 0
-    traces: list[list[Any]] = [[None] * members for _ in rtols]
+    integration = scenario.to_params().integration
+    wanted: list[tuple[float, str]] = [(rtol, "") for rtol in rtols]
+    if reference is not None and reference[0] != integration.method:
+        wanted.append((reference[1], reference[0]))
+    total, done = members * len(wanted), 0
+    traces: list[list[Any]] = [[None] * members for _ in wanted]
 
     def runs() -> Iterator[Run]:
-        for key, rtol in enumerate(rtols):
-            yield from ensemble_runs(
-                scenario, members, seed=seed, overrides={"integration.rtol": rtol}, key=key
-            )
+        for key, (rtol, method) in enumerate(wanted):
+            overrides: dict[str, Any] = {"integration.rtol": rtol}
+            if method:
+                overrides["integration.method"] = method
+            yield from ensemble_runs(scenario, members, seed=seed, overrides=overrides, key=key)
 
     with closing(run(runs(), jobs=jobs, task=task)) as results:
         for result in results:
@@ -307,17 +343,19 @@ def convergence(
             done += 1
             if progress is not None:
                 progress(done, total)
-    integration = scenario.to_params().integration
+    tightest = traces[len(rtols) - 1]
+    levels = [_level(*w, t, tightest) for w, t in zip(wanted, traces, strict=True)]
     return Convergence(
         name=getattr(scenario, "name", ""),
         title=getattr(scenario, "title", ""),
         method=integration.method,
         default_rtol=integration.rtol,
-        levels=tuple(_level(r, t, traces[-1]) for r, t in zip(rtols, traces, strict=True)),
+        levels=tuple(levels[: len(rtols)]),
+        reference=levels[-1] if len(levels) > len(rtols) else None,
     )
 
 
-def _level(rtol: float, traces: Sequence[Trace], tightest: Sequence[Trace]) -> Level:
+def _level(rtol: float, method: str, traces: Sequence[Trace], tightest: Sequence[Trace]) -> Level:
     both = [
         (a, b)
         for a, b in zip(traces, tightest, strict=True)
@@ -332,6 +370,7 @@ def _level(rtol: float, traces: Sequence[Trace], tightest: Sequence[Trace]) -> L
         measures[m.name] = compare(values, other, values - other)
     return Level(
         rtol=rtol,
+        method=method,
         members=len(both),
         steps=float(np.median([a.steps for a, _ in both])),
         gap=max(a.gap for a, _ in both),
@@ -392,10 +431,10 @@ def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str
             "| rtol | steps | parted at (s) | largest constraint error (m) | energy residual |",
             "|---|---|---|---|---|",
         ]
-        for level in study.levels:
-            when = "" if level.rtol == tight else median_time(level.partings)
+        for level in study.all:
+            when = "" if level is study.levels[-1] else median_time(level.partings)
             lines.append(
-                f"| {power(level.rtol)} | {level.steps:.0f} | {when} | {level.gap:.1e} | "
+                f"| {level.label} | {level.steps:.0f} | {when} | {level.gap:.1e} | "
                 f"{level.residual:.1e} |"
             )
         note = (
@@ -412,7 +451,7 @@ def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str
             f"| rtol | {heads} |",
             "|---|" + "---|" * len(MEASURES),
         ]
-        for level in study.levels[:-1]:
+        for level in study.compared:
             cells = []
             for m in MEASURES:
                 c = level.measures[m.name]
@@ -420,7 +459,7 @@ def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str
                     f"{c.difference:+.{m.digits}f} ± {c.difference_half:.{m.digits}f} ({c.p:.2f})"
                 )
                 cells.append(text if c.agrees else f"**{text}**")
-            lines.append(f"| {power(level.rtol)} | " + " | ".join(cells) + " |")
+            lines.append(f"| {level.label} | " + " | ".join(cells) + " |")
         note = (
             f"Median difference of a member from its twin at {power(tight)}; in the last row of "
             "two different members. Where they are alike, the tolerance is one more way to draw "
@@ -433,9 +472,9 @@ def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str
             f"| rtol | {heads} |",
             "|---|" + "---|" * len(MEASURES),
         ]
-        for level in study.levels[:-1]:
+        for level in study.compared:
             cells = [f"{level.measures[m.name].twins:.{m.digits}f}" for m in MEASURES]
-            lines.append(f"| {power(level.rtol)} | " + " | ".join(cells) + " |")
+            lines.append(f"| {level.label} | " + " | ".join(cells) + " |")
         cells = [f"{study.levels[-1].measures[m.name].strangers:.{m.digits}f}" for m in MEASURES]
         lines.append("| other members | " + " | ".join(cells) + " |")
     lines.append("")

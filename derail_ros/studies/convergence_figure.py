@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from derail_ros.review.figures import BLUE, FAINT, STYLE, VERMILION
-from derail_ros.studies.convergence import APART, MEASURES, Convergence, power
+from derail_ros.studies.convergence import APART, MEASURES, Convergence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ def _figure(studies: Sequence[Convergence], members: int) -> Figure:
         0.3 / width,
         1.0 - 0.57 / height,
         f"Ensembles of the same {members} lateral forces at each tolerance. Whiskers: 95 % "
-        "confidence of the mean. Band: that of the tightest. The default is ringed.",
+        "confidence of the mean. Band: that of the tightest. Ring: the default.",
         size=9.5,
         color="#555555",
         va="center",
@@ -86,30 +86,31 @@ def _figure(studies: Sequence[Convergence], members: int) -> Figure:
 
 
 def _prepare(axes: Axes, studies: Sequence[Convergence]) -> None:
-    axes.set_xscale("log")
-    rtols = [level.rtol for level in studies[0].levels]
-    axes.set_xticks(rtols, [power(r) for r in rtols], size=8)
-    axes.set_xticks([], minor=True)
-    axes.set_xlim(rtols[0] * 2.2, rtols[-1] / 2.2)
+    labels = [level.label.replace(" ", "\n") for level in studies[0].all]
+    axes.set_xticks(range(len(labels)), labels, size=8)
+    axes.set_xlim(-0.5, len(labels) - 0.5)
     axes.tick_params(length=3, color="#c8c8c8")
-    axes.set_xlabel("relative tolerance")
     axes.grid(axis="y", color="#ececec", lw=0.8, zorder=0)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+    if studies[0].reference is not None:
+        axes.axvline(len(labels) - 1.5, color=FAINT, lw=0.7, ls=(0, (1, 2)))
 
 
 def _partings(axes: Axes, studies: Sequence[Convergence]) -> None:
     _prepare(axes, studies)
-    last = 0.0
-    for study, (colour, marker) in zip(studies, LOOKS, strict=False):
-        levels = study.levels[:-1]
-        ends = max(float(level.measures["duration"].mean) for level in study.levels)
-        last = max(last, ends)
-        for level in levels:
-            times = np.where(np.isfinite(level.partings), level.partings, ends)
+    for k, (study, (colour, marker)) in enumerate(zip(studies, LOOKS, strict=False)):
+        # Two runs that never part are drawn at the end of the run.
+        end = study.levels[-1].measures["duration"].mean
+        middle = []
+        for place, level in enumerate(study.all):
+            if level is study.levels[-1]:
+                continue
+            times = np.minimum(level.partings, end)
+            middle.append((place, float(np.median(times))))
             axes.plot(
-                np.full(len(times), level.rtol),
+                np.full(len(times), place + _shift(k, studies)),
                 times,
                 ls="",
                 marker=marker,
@@ -118,35 +119,44 @@ def _partings(axes: Axes, studies: Sequence[Convergence]) -> None:
                 alpha=0.25,
                 zorder=2,
             )
-        x = [level.rtol for level in levels]
-        y = [float(np.median(np.minimum(level.partings, ends))) for level in levels]
-        axes.plot(x, y, color=colour, marker=marker, ms=6, lw=1.2, mec="white", zorder=4)
+        own = [m for m in middle if m[0] < len(study.levels)]
+        axes.plot(*zip(*own, strict=True), color=colour, lw=1.2, zorder=3)
+        axes.plot(
+            *zip(*middle, strict=True), ls="", color=colour, marker=marker, ms=6, mec="white",
+            zorder=4,
+        )  # fmt: skip
         contact = float(np.median(study.levels[-1].contacts))
         axes.axhline(contact, color=colour, lw=0.9, ls=(0, (4, 3)), zorder=1)
-    axes.text(
-        0.99,
-        float(np.median(studies[0].levels[-1].contacts)),
-        "first contact",
-        transform=axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        size=7.5,
-        color=FAINT,
-    )
+        axes.text(
+            0.99,
+            contact,
+            "first contact",
+            transform=axes.get_yaxis_transform(),
+            ha="right",
+            va="bottom",
+            size=7.5,
+            color=colour,
+        )
     axes.set_ylim(0.0, None)
-    axes.set_ylabel(f"part from the tightest at, s ({100 * APART:g} cm)")
+    axes.set_ylabel(f"{100 * APART:g} cm from the tightest at, s")
     axes.set_title("Single runs: member and twin", size=9.5, loc="left", weight="bold")
+
+
+def _shift(k: int, studies: Sequence[Convergence]) -> float:
+    return 0.16 * (k - 0.5 * (len(studies) - 1))
 
 
 def _means(axes: Axes, studies: Sequence[Convergence], name: str) -> None:
     _prepare(axes, studies)
     (measure,) = (m for m in MEASURES if m.name == name)
+    seen: list[float] = []
     for k, (study, (colour, marker)) in enumerate(zip(studies, LOOKS, strict=False)):
-        shift = 10.0 ** (0.12 * (k - 0.5 * (len(studies) - 1)))
-        x = np.array([level.rtol for level in study.levels]) * shift
-        mean = np.array([level.measures[name].mean for level in study.levels])
-        half = np.array([level.measures[name].half for level in study.levels])
-        axes.axhspan(mean[-1] - half[-1], mean[-1] + half[-1], color=colour, alpha=0.13, lw=0)
+        x = np.arange(len(study.all)) + _shift(k, studies)
+        mean = np.array([level.measures[name].mean for level in study.all])
+        half = np.array([level.measures[name].half for level in study.all])
+        tight = study.levels[-1].measures[name]
+        axes.axhspan(tight.mean - tight.half, tight.mean + tight.half, color=colour, alpha=0.13,
+                     lw=0)  # fmt: skip
         axes.errorbar(
             x,
             mean,
@@ -162,10 +172,13 @@ def _means(axes: Axes, studies: Sequence[Convergence], name: str) -> None:
             zorder=4,
             label=study.title,
         )
-        for level, place, value in zip(study.levels, x, mean, strict=True):
+        for level, place, value in zip(study.levels, x, mean, strict=False):
             if level.rtol == study.default_rtol:
                 axes.plot(place, value, "o", ms=11, mfc="none", mec=colour, mew=1.0, zorder=5)
-    axes.margins(y=0.15)
+        # A loose tolerance may be far off: the scale is that of the others.
+        seen += [*(mean[1:] - half[1:]), *(mean[1:] + half[1:])]
+    low, high = min(seen), max(seen)
+    axes.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.set_ylabel(f"{measure.label}, {measure.unit}")
     axes.set_title(f"Ensembles: mean {measure.label}", size=9.5, loc="left", weight="bold")

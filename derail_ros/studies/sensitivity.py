@@ -342,8 +342,8 @@ def _constants() -> Iterator[Constant]:
     yield Constant(
         "method", "integrator", method, CONTROL,
         tuple(
-            Change(name, 0, {"integration.method": name})
-            for name in ("rkf45", "row")
+            Change(name, 0, {"integration.method": name, "integration.rtol": own})
+            for name, own in (("rkf45", 1e-4), ("row", 1e-3))
             if name != method
         ),
     )  # fmt: skip
