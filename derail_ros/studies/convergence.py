@@ -336,9 +336,8 @@ def convergence(
     with closing(run(runs(), jobs=jobs, task=task)) as results:
         for result in results:
             if result.error is not None:
-                raise RuntimeError(
-                    f"member {result.run.member} at rtol {rtols[result.run.key]:g}: {result.error}"
-                )
+                rtol = wanted[result.run.key][0]
+                raise RuntimeError(f"member {result.run.member} at rtol {rtol:g}: {result.error}")
             traces[result.run.key][result.run.member] = result.value
             done += 1
             if progress is not None:

@@ -64,8 +64,9 @@ def _figure(studies: Sequence[Convergence], members: int) -> Figure:
         0.3 / width,
         1.0 - 0.57 / height,
         f"Ensembles of the same {members} lateral forces at each tolerance. Whiskers: 95 % "
-        "confidence of the mean. Band: that of the tightest. Ring: the default.",
-        size=9.5,
+        "confidence of the mean. Band: that of the tightest. Ring: the default. Twins that "
+        "never part are at the end of the run.",
+        size=9.0,
         color="#555555",
         va="center",
     )
@@ -178,7 +179,8 @@ def _means(axes: Axes, studies: Sequence[Convergence], name: str) -> None:
         # A loose tolerance may be far off: the scale is that of the others.
         seen += [*(mean[1:] - half[1:]), *(mean[1:] + half[1:])]
     low, high = min(seen), max(seen)
-    axes.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
+    margin = 0.15 * (high - low) or 1.0
+    axes.set_ylim(low - margin, high + margin)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.set_ylabel(f"{measure.label}, {measure.unit}")
     axes.set_title(f"Ensembles: mean {measure.label}", size=9.5, loc="left", weight="bold")

@@ -253,7 +253,8 @@ def spread(
     above = np.zeros(last)
     for r in good:
         for car in r["cars_above_10MN"]:
-            above[car - 1] += 1.0 / len(good)
+            above[car - 1] += 1.0
+    above /= max(len(good), 1)
     pair = published.get("peak_force_pair")
     return Spread(
         name=getattr(scenario, "name", ""),
