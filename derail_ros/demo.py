@@ -46,7 +46,7 @@ class Heard:
     time: float = 0.0
     derailed: int = 0
     peak: float = 0.0
-    status: str = "waiting for the simulator"
+    status: str = "waiting for the simulator; the first time its kernels are compiled"
     final: bool = False
     events: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=LATEST))
 

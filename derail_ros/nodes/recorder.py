@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +13,8 @@ from derail_ros.nodes.process import Stop, run_node, starting
 from derail_ros.recording.listener import Listener
 from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
 
+GONE = 3.0
+"""Wall time without any publisher after which the simulator is taken to have ended, s."""
 ROUND = 0.1
 """Wall time after which the loop looks around even if nothing came, s."""
 
@@ -50,6 +53,7 @@ def make_node_class() -> Any:
             names = {self.resolve_topic_name(topic.name): topic for topic in topics}
             self.listener = Listener(str(values["path"]), str(values["storage"]), names)
             self._subscribed = []
+            self._seen = time.monotonic()
             for name, topic in names.items():
                 subscription = self.create_subscription(
                     rclpy_class(topic.msgtype),
@@ -67,6 +71,13 @@ def make_node_class() -> Any:
                 self.listener.take(name, data, info)
 
             return take
+
+        def abandoned(self) -> bool:
+            """Whether there was a simulator, and for a while has been none."""
+            now = time.monotonic()
+            if self.listener.empty or any(self.count_publishers(n) for n, _ in self._subscribed):
+                self._seen = now
+            return now > self._seen + GONE
 
         def drain(self) -> int:
             """Take everything that waits, without a round of the executor for each message."""
@@ -115,8 +126,12 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
             executor.spin_once(timeout_sec=ROUND)
             node.drain()
             node.listener.release()
-            if node.stop_when_final and node.listener.complete(node.settle):
-                break
+            if node.stop_when_final:
+                if node.listener.complete(node.settle):
+                    break
+                if node.abandoned():
+                    node.get_logger().warning("the simulator is gone, without a final outcome")
+                    break
         node.drain()
     finally:
         node.listener.close()

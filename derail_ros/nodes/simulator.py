@@ -38,7 +38,7 @@ MATCH_WAIT = 1.0
 """Wall time for which a new run's first events wait for their subscribers, s."""
 LISTENERS_WAIT = 10.0
 """Wall time for which the first run waits for listeners (parameter await_listeners), s."""
-EXIT_WAIT = 2.0
+EXIT_WAIT = 5.0
 """Wall time for which the end waits until everything has arrived, s."""
 
 

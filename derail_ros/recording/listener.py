@@ -307,6 +307,11 @@ class Listener:
 
     # --- the end -----------------------------------------------------------------------------
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing has come so far."""
+        return self._bags == 1 and not any(h.received for h in self._bag.heard.values())
+
     def _look_for_the_end(self, data: bytes, now: float) -> None:
         message = deserialize(data, "derail_msgs/msg/Outcome")
         final = message.is_final and message.status != STOPPED

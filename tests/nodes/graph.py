@@ -64,18 +64,20 @@ class Process:
         return self.log.read_text(errors="replace")
 
     def wait(self, seconds: float = LIMIT) -> int:
-        return self.process.wait(seconds)
+        """Wait for the process to end by itself; gives its exit code."""
+        try:
+            return self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            # With PYTHONFAULTHANDLER it says where it was.
+            self.process.send_signal(signal.SIGABRT)
+            self.process.wait(20)
+            raise AssertionError(f"the process did not end:\n{self.output}") from None
 
     def end(self, number: int = signal.SIGINT) -> int:
         """Tell the process to end; gives its exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)
-        try:
-            return self.process.wait(20)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-            raise AssertionError(f"the process did not end:\n{self.output}") from None
+        return self.wait()
 
 
 class Graph:
@@ -91,6 +93,7 @@ class Graph:
             "ROS_PYTHON_CHECK_FIELDS": "1",
             "ROS_LOG_DIR": str(folder / "ros_log"),
             "PYTHONUNBUFFERED": "1",
+            "PYTHONFAULTHANDLER": "1",
             "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
         }
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -96,26 +96,49 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
     assert order.index("/outcome") < order.index("/car_poses")
 
 
-@pytest.mark.parametrize(
-    ("number", "storage"),
-    [(signal.SIGINT, "mcap"), (signal.SIGTERM, "mcap"), (signal.SIGTERM, "sqlite3")],
-)
-def test_a_signal_closes_the_recording_whole(tmp_path, number, storage) -> None:
+def test_signals_close_recordings_whole_and_so_does_the_end_of_the_simulator(tmp_path) -> None:
+    """Four recorders at one simulator, each ended in another way."""
+    ways = {
+        "interrupted": ("mcap", signal.SIGINT),
+        "terminated": ("mcap", signal.SIGTERM),
+        "sqlite3": ("sqlite3", signal.SIGTERM),
+        "abandoned": ("mcap", None),
+    }
     with graph(tmp_path) as made:
-        recorder = made.start("recorder", path=tmp_path / "bag", storage=storage)
-        simulator = made.simulator(ready=False, scenario="base_train", await_listeners=1)
+        recorders = {
+            name: made.start(
+                "recorder",
+                "-r",
+                f"__node:={name}",
+                path=tmp_path / name,
+                storage=storage,
+                stop_when_final=number is None,
+            )
+            for name, (storage, number) in ways.items()
+        }
+        simulator = made.simulator(ready=False, scenario="base_train", await_listeners=4)
         made.listen("train_state")
         made.until(lambda: len(made.heard["train_state"]) > 30, "the run goes on", simulator)
-        assert recorder.end(number) == 0, recorder.output
-        assert simulator.end(number) == 0, simulator.output
-    assert "Traceback" not in recorder.output + simulator.output
-    manifest = read_manifest(tmp_path / "bag")
-    assert manifest.messages["/train_state"] >= 20
-    found = contents(tmp_path / "bag")
-    assert {name: len(messages) for name, messages in found.items()} == {
-        name: n for name, n in manifest.messages.items() if n
-    }
-    assert manifest.settings["missed"]["/train_state"]["gaps"] == 0
+        for name, (_, number) in ways.items():
+            if number is not None:
+                assert recorders[name].end(number) == 0, recorders[name].output
+        assert simulator.end(signal.SIGTERM) == 0, simulator.output
+        assert recorders["abandoned"].wait() == 0, recorders["abandoned"].output
+    assert "the simulator is gone" in recorders["abandoned"].output
+    assert read_manifest(tmp_path / "abandoned").run.status == "stopped"
+    for name, recorder in recorders.items():
+        assert "Traceback" not in recorder.output
+        manifest = read_manifest(tmp_path / name)
+        assert manifest.messages["/train_state"] >= 20, name
+        found = contents(tmp_path / name)
+        assert {topic: len(messages) for topic, messages in found.items()} == {
+            topic: n for topic, n in manifest.messages.items() if n
+        }, name
+        assert manifest.settings["missed"]["/train_state"] == {
+            "received": manifest.messages["/train_state"],
+            "lost": 0,
+            "gaps": 0,
+        }, name
 
 
 def test_who_comes_late_says_what_it_missed(tmp_path) -> None:
@@ -126,8 +149,10 @@ def test_who_comes_late_says_what_it_missed(tmp_path) -> None:
         recorder = made.start(
             "recorder", path=tmp_path / "bag", topics="[train_state, events, consist]"
         )
-        size = len(made.heard["train_state"]) + 300
-        made.until(lambda: len(made.heard["train_state"]) > size, "the run goes on", recorder)
+        file = tmp_path / "bag" / "bag.mcap"
+        made.until(
+            lambda: file.exists() and file.stat().st_size > 50_000, "states are recorded", recorder
+        )
         assert recorder.end() == 0, recorder.output
     assert "/train_state: 0 messages missed by their numbers" in recorder.output
     found = contents(tmp_path / "bag")
