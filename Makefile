@@ -121,6 +121,9 @@ verify: env  ## the slow tests, and those with a ROS graph REPEATS times
 	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "ros and not slow" $(PYTEST_ARGS); done
 
 bench: env  ## measure, and print the tables of the documentation
+	@$(BIN)/python -c 'import mujoco, pymunk, exudyn' 2>/dev/null || { \
+	  echo "bench: installing the engines to compare with [bench]"; \
+	  $(call pip,bench,install --constraint constraints.txt --editable '.[bench]'); }
 	@shopt -s nullglob; for file in benchmarks/bench_*.py; do \
 	  echo "== $$file"; $(BIN)/python "$$file"; done
 

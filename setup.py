@@ -66,6 +66,12 @@ TEST = [
     "catkin-pkg>=1",
 ]
 
+BENCH = [
+    "mujoco>=3",
+    "pymunk>=7",
+    "exudyn>=1.9",
+]
+
 DEV = [
     *TEST,
     "ruff==0.17.6",
@@ -144,6 +150,7 @@ setup(
     extras_require={
         "ros": ROS,
         "studies": STUDIES,
+        "bench": BENCH,
         "video": VIDEO,
         "test": TEST,
         "dev": DEV,
