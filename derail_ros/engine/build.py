@@ -166,6 +166,8 @@ def validate(params: TrainParams) -> None:
         "time_limit",
     ):
         positive(getattr(n, name), f"integration.{name}")
+    # peaks of contact forces are seen at the ends of steps
+    finite(n.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
     require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
     start = params.initiation
     finite(start.speed, "initiation.speed", 0.0, 200.0)
