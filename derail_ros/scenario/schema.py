@@ -618,7 +618,7 @@ class Integration(Section):
         "1",
         "no corner moves further than this share of the buffer in one step",
         gt=0,
-        le=1,
+        le=0.5,
     )
     max_step_s: Number = _engine(IntegrationParams, "max_step", "s", "longest step", gt=0, le=1)
     min_step_s: Number = _engine(
