@@ -152,9 +152,9 @@ def with_integration(params, **changes):
     return replace(params, integration=replace(params.integration, **changes))
 
 
-def tight(params, rtol=1e-10, **changes):
-    """The same run at a tight tolerance."""
-    return with_integration(params, rtol=rtol, **changes)
+def tight(params, rtol=1e-10, method="rkf45", **changes):
+    """The same run at a tight tolerance, by the reference method."""
+    return with_integration(params, rtol=rtol, method=method, **changes)
 
 
 def fixed_steps(params, h):
