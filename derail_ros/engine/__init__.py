@@ -36,6 +36,7 @@ from derail_ros.engine.params import (
     TrackParams,
     TrackSegment,
     TrainParams,
+    VariantParams,
 )
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ __all__ = [
     "TrackParams",
     "TrackSegment",
     "TrainParams",
+    "VariantParams",
     "warm_up",
 ]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State
 from derail_ros.engine.errors import ParameterError
+from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
 from derail_ros.engine.params import GRAVITY, Car, CouplerType, TrainParams
@@ -169,6 +170,7 @@ def validate(params: TrainParams) -> None:
     # peaks of contact forces are seen at the ends of steps
     finite(n.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
     require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
+    finite(params.variant.moment_widening, "variant.moment_widening", 0.0)
     start = params.initiation
     finite(start.speed, "initiation.speed", 0.0, 200.0)
     finite(start.position, "initiation.position")
@@ -273,6 +275,9 @@ def build_model(params: TrainParams, track: Track) -> Model:
     par[L.REST_W] = m.rest_yaw_rate
     par[L.REST_HOLD] = m.rest_hold
     par[L.T_LIMIT] = m.time_limit
+    par[L.JOINT_HELD] = float(p.variant.held_moment)
+    par[L.WHOLE_CAR] = float(p.variant.whole_car)
+    par[L.COLLIDE] = float(p.variant.collisions)
     traction = p.brakes.traction_coefficient * GRAVITY
 
     car = np.zeros((n, L.N_CAR))
@@ -331,7 +336,13 @@ def build_model(params: TrainParams, track: Track) -> Model:
     for i in range(n - 1):
         pair = pair_of_heads(p.cars[i].rear.head, p.cars[i + 1].front.head)
         limit = getattr(p.derailment, f"knuckle_limit_{pair.lower()}")
-        knuckle[i] = (*POLYNOMIALS[pair], polynomial_root(pair), limit)
+        knuckle[i] = (
+            *POLYNOMIALS[pair],
+            polynomial_root(pair),
+            limit,
+            p.variant.moment_widening,
+            top_angle(*POLYNOMIALS[pair][1:]),
+        )
 
     lateral = np.zeros((len(p.initiation.lateral_forces), L.N_LF))
     for j, f in enumerate(p.initiation.lateral_forces):

@@ -33,6 +33,7 @@ from derail_ros.engine.laws.contact import (
     speed_factor,
 )
 from derail_ros.engine.laws.ground import BODY_POINTS, drag
+from derail_ros.engine.laws.joint import joint_energy, joint_moment
 from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
 from derail_ros.engine.laws.striker import spring_energy, spring_force
 
@@ -56,9 +57,15 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
         striker += spring_energy(x, car[i, L.OPEN_R], car[i, L.K1_R], car[i, L.K2_R])
         if i < n - 1 and coupled[i]:
             x = q[i, 4] - q[i + 1, 3]
-            knuckle += knuckle_energy(
-                x, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT]
-            )
+            if model.par[L.JOINT_HELD] != 0.0:
+                knuckle += joint_energy(
+                    x, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT],
+                    kn[i, L.KN_WIDENING], kn[i, L.KN_TOP],
+                )  # fmt: skip
+            else:
+                knuckle += knuckle_energy(
+                    x, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT]
+                )
     return striker, knuckle
 
 
@@ -411,6 +418,7 @@ def applied_forces(
     p_external = 0.0
     eps = par[L.G_EPS]
     rise_time = par[L.BRAKE_RISE]
+    held = par[L.JOINT_HELD] != 0.0
     reporting = report.shape[0] > 0
     if reporting:
         for i in range(n):
@@ -522,13 +530,25 @@ def applied_forces(
     # knuckles
     for i in range(n - 1):
         if coupled[i]:
-            moment = knuckle_moment(
-                q[i, 4] - q[i + 1, 3],
-                knuckle[i, L.KN_0],
-                knuckle[i, L.KN_1],
-                knuckle[i, L.KN_2],
-                knuckle[i, L.KN_ROOT],
-            )
+            x = q[i, 4] - q[i + 1, 3]
+            if held:
+                moment = joint_moment(
+                    x,
+                    knuckle[i, L.KN_0],
+                    knuckle[i, L.KN_1],
+                    knuckle[i, L.KN_2],
+                    knuckle[i, L.KN_ROOT],
+                    knuckle[i, L.KN_WIDENING],
+                    knuckle[i, L.KN_TOP],
+                )
+            else:
+                moment = knuckle_moment(
+                    x,
+                    knuckle[i, L.KN_0],
+                    knuckle[i, L.KN_1],
+                    knuckle[i, L.KN_2],
+                    knuckle[i, L.KN_ROOT],
+                )
             force[i, 4] += moment
             force[i + 1, 3] -= moment
             if reporting:

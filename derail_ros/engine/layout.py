@@ -40,7 +40,10 @@ REST_V = 29
 REST_W = 30
 REST_HOLD = 31
 T_LIMIT = 32
-N_PAR = 33
+JOINT_HELD = 33  # 1: moment held beyond its largest value, see laws.joint
+WHOLE_CAR = 34  # 1: a car leaves the rails whole as its front truck passes a break
+COLLIDE = 35
+N_PAR = 36
 
 # --- car: parameters of a body ---------------------------------------------------------------
 MASS = 0
@@ -75,7 +78,9 @@ KN_1 = 1
 KN_2 = 2
 KN_ROOT = 3
 KN_LIMIT = 4
-N_KN = 5
+KN_WIDENING = 5  # rad, for the held moment
+KN_TOP = 6
+N_KN = 7
 
 # --- unit: brake units -----------------------------------------------------------------------
 U_BODY = 0

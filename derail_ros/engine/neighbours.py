@@ -180,7 +180,7 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     old_count = state.cnt[L.N_PAIRS]
     old = 0
     for i in range(n):
-        if model.car[i, L.VIRTUAL] != 0.0:
+        if model.car[i, L.VIRTUAL] != 0.0 or model.par[L.COLLIDE] == 0.0:
             continue
         first = count
         reach = model.car[i, L.RADIUS] + largest + room

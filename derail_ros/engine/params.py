@@ -308,6 +308,25 @@ class IntegrationParams:
 
 
 @dataclass(frozen=True)
+class VariantParams:
+    """Laws of an earlier model in place of this one's; the defaults change nothing.
+
+    Attributes
+    ----------
+    held_moment : the moment between coupler heads is held beyond its largest value
+        (``laws.joint``) instead of falling (``laws.knuckle``)
+    moment_widening : its dead band is wider by this much, rad
+    whole_car : a car leaves the rails with both trucks as its front truck passes a break
+    collisions : cars collide
+    """
+
+    held_moment: bool = False
+    moment_widening: float = 0.0
+    whole_car: bool = False
+    collisions: bool = True
+
+
+@dataclass(frozen=True)
 class TrainParams:
     """Everything a run is built from."""
 
@@ -319,3 +338,4 @@ class TrainParams:
     contact: ContactParams = field(default_factory=ContactParams)
     derailment: DerailmentParams = field(default_factory=DerailmentParams)
     integration: IntegrationParams = field(default_factory=IntegrationParams)
+    variant: VariantParams = field(default_factory=VariantParams)

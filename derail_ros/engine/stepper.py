@@ -358,6 +358,8 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
                     )  # fmt: skip
                     return changed
                 derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
+                if model.par[L.WHOLE_CAR] != 0.0 and state.truck_on[i, 1 - k]:
+                    derail_truck(model, state, work, i, 1 - k, L.CAUSE_BREAK, passed)
                 changed = True
                 continue
             if virtual:

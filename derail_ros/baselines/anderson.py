@@ -1,0 +1,781 @@
+r"""Birk, Anderson and Coppens 1990: stiff springs as couplings, collisions by impulse.
+
+Three coordinates a car, (X, Y, theta). Couplings are very stiff springs between the faces of
+couplers that are rigid parts of the bodies, removed at a limiting force
+(``engine.laws.coupling_spring``); derailed trucks drag with a constant Coulomb friction of 1.0 to
+1.5; overlapping bodies exchange an impulse as point masses do (``engine.laws.impulse``); a car
+that came free at both ends may roll (``engine.laws.roll``); any car may derail.
+
+The springs and impulses do not fit the main engine, whose couplings are constraints and whose
+velocities never jump, so this is a small model of its own. It shares the engine's arrays and
+parameters, its track, the truck constraints and their solver (with the coupling rows off), the
+brake and ground laws, the initiating forces, Fehlberg's coefficients, the projection and the
+typed errors.
+
+Interpretation [R]: stiffness, damper, limiting force, restitution and friction within its range;
+the truck constraint in place of motion prescribed along the track; derailment as in the thesis (a
+break passed, or a lateral force above the derailment quotient); bodies as the thesis' rectangles;
+the normal of a contact, that of least overlap; the friction of a car off the rails always at its
+trucks. Point masses take no spin from an impulse, and nothing pushes overlapping bodies apart:
+bodies that turn into each other stay overlapped. The source calls the springs numerically
+delicate; a step that cannot be taken is the engine's typed error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.dynamics import project_positions, project_velocities
+from derail_ros.engine.errors import (
+    ConstraintError,
+    NonFiniteStateError,
+    ParameterError,
+    StepSizeError,
+    TrackEndError,
+)
+from derail_ros.engine.forces import brake_force
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
+from derail_ros.engine.laws.brake import smooth_direction
+from derail_ros.engine.laws.coupling_spring import coupling_energy, coupling_force
+from derail_ros.engine.laws.ground import drag
+from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
+from derail_ros.engine.laws.roll import roll_angle
+from derail_ros.engine.outcome import car_corners, scene_box
+from derail_ros.engine.params import GRAVITY, TrainParams
+from derail_ros.engine.rkf45 import RKF_A, RKF_B, RKF_C, RKF_E
+from derail_ros.engine.simulation import Simulation
+from derail_ros.engine.solver import (
+    acceleration_gamma,
+    factor,
+    plain_masses,
+    solve,
+    truck_rows,
+)
+from derail_ros.engine.stepper import apply_brakes, next_switch
+from derail_ros.engine.trigonometry import angles
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class RollParams:
+    """Inputs of the roll estimate, a loaded tank car's [R].
+
+    Attributes
+    ----------
+    height : of the mass centre above the rails, m
+    track_width : between the wheels' contacts, m
+    friction : of the ground
+    radius : of the shell, m
+    fittings : height of the top fittings above the shell, m
+    """
+
+    height: float = 2.3
+    track_width: float = 1.5
+    friction: float = 1.0
+    radius: float = 1.5
+    fittings: float = 0.5
+
+
+@dataclass(frozen=True)
+class AndersonParams:
+    """Constants of the model [R].
+
+    Attributes
+    ----------
+    stiffness : k of the coupling springs, N/m
+    damping : c beside them, N s/m
+    force_limit : F_max, N
+    friction : Coulomb friction at derailed trucks (source: 1.0 to 1.5)
+    restitution : e of collisions
+    max_step : s
+    roll : inputs of the roll estimate
+    """
+
+    stiffness: float = 1.0e8
+    damping: float = 1.0e6
+    force_limit: float = 1.0e7
+    friction: float = 1.25
+    restitution: float = 0.25
+    max_step: float = 5e-3
+    roll: RollParams = field(default_factory=RollParams)
+
+
+# columns of the model's own parameters
+S_K, S_C, S_LIMIT, S_MU, S_E, S_HMAX, N_S = 0, 1, 2, 3, 4, 5, 6
+# columns of the cars' own state: time and speed at which a car came free, largest impulse's
+# approach speed, other car, time
+O_FREE_T, O_FREE_V, O_HIT_V, O_HIT_OTHER, O_HIT_T, N_O = 0, 1, 2, 3, 4, 5
+
+DONE, NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = 0, -1, -2, -3, -4
+_ERRORS = {
+    NON_FINITE: (NonFiniteStateError, "the state is no longer finite"),
+    STEP_FLOOR: (StepSizeError, "the step size fell below its floor"),
+    SINGULAR: (ConstraintError, "the truck constraints cannot be solved"),
+    TRACK_END: (TrackEndError, "a truck on the rails left the end of the alignment"),
+}
+
+
+@inner_jit
+def _gap(
+    model: Model, q: F64, v: F64, wk: F64, i: int
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Vector from the rear face of car i to the front face of i + 1, its rate, both arms."""
+    b = model.car[i, L.DP] + model.car[i, L.DCR]
+    f = model.car[i + 1, L.DP] + model.car[i + 1, L.DCF]
+    bx = -b * wk[i, L.W_CT]
+    by = -b * wk[i, L.W_ST]
+    fx = f * wk[i + 1, L.W_CT]
+    fy = f * wk[i + 1, L.W_ST]
+    gx = q[i + 1, 0] + fx - q[i, 0] - bx
+    gy = q[i + 1, 1] + fy - q[i, 1] - by
+    rx = v[i + 1, 0] - v[i + 1, 2] * fy - v[i, 0] + v[i, 2] * by
+    ry = v[i + 1, 1] + v[i + 1, 2] * fx - v[i, 1] - v[i, 2] * bx
+    return gx, gy, rx, ry, bx, by, fx, fy
+
+
+@jit
+def applied_forces(
+    model: Model, state: State, work: Work, own: F64, linked: U8, t: float, q: F64, v: F64
+) -> None:
+    """All applied forces into ``work.force``, their powers into ``work.power``."""
+    keep_separate()
+    n = q.shape[0]
+    eps = model.par[L.G_EPS]
+    g = model.par[L.GRAVITY]
+    mu = own[S_MU]
+    t_on = state.clock[L.T_ON]
+    wk = work.wk
+    force = work.force
+    angles(q, wk)
+    work.power[:] = 0.0
+    for i in range(n):
+        fx = 0.0
+        fy = 0.0
+        moment = 0.0
+        vx = v[i, 0]
+        vy = v[i, 1]
+        omega = v[i, 2]
+        trucks = int(state.truck_on[i, 0]) + int(state.truck_on[i, 1])
+        if trucks > 0:
+            speed = math.sqrt(vx * vx + vy * vy)
+            f = brake_force(model, state.arrival, i, t, t_on, speed) * (0.5 * trucks)
+            f *= smooth_direction(speed, eps)
+            fx -= f * vx
+            fy -= f * vy
+            work.power[L.E_BRAKE] += f * speed * speed
+        for k in range(2):
+            if state.truck_on[i, k]:
+                continue
+            r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
+            rx = r * wk[i, L.W_CT]
+            ry = r * wk[i, L.W_ST]
+            ux = vx - omega * ry
+            uy = vy + omega * rx
+            speed = math.sqrt(ux * ux + uy * uy)
+            f = drag(speed, mu, mu, eps, 0.0) * (0.5 * g * model.car[i, L.MASS])
+            fx -= f * ux
+            fy -= f * uy
+            moment -= f * (rx * uy - ry * ux)
+            work.power[L.E_GROUND_TRUCK] += f * speed * speed
+        force[i, 0] = fx
+        force[i, 1] = fy
+        force[i, 2] = moment
+        force[i, 3] = 0.0
+        force[i, 4] = 0.0
+    for i in range(n - 1):
+        if linked[i] == 0:
+            continue
+        gx, gy, rx, ry, bx, by, ax, ay = _gap(model, q, v, wk, i)
+        sx, sy = coupling_force(gx, gy, rx, ry, own[S_K], own[S_C])
+        force[i, 0] += sx
+        force[i, 1] += sy
+        force[i, 2] += bx * sy - by * sx
+        force[i + 1, 0] -= sx
+        force[i + 1, 1] -= sy
+        force[i + 1, 2] -= ax * sy - ay * sx
+        work.power[L.E_DAMPER] += own[S_C] * (rx * rx + ry * ry)
+    for k in range(model.lateral.shape[0]):
+        if model.lateral[k, L.LF_T0] <= t_on < model.lateral[k, L.LF_T1]:
+            i = int(model.lateral[k, L.LF_CAR])
+            r = model.lateral[k, L.LF_OFFSET]
+            ex = model.lateral[k, L.LF_X]
+            ey = model.lateral[k, L.LF_Y]
+            rx = r * wk[i, L.W_CT]
+            ry = r * wk[i, L.W_ST]
+            force[i, 0] += ex
+            force[i, 1] += ey
+            force[i, 2] += rx * ey - ry * ex
+            work.power[L.E_EXTERNAL] += ex * (v[i, 0] - v[i, 2] * ry)
+            work.power[L.E_EXTERNAL] += ey * (v[i, 1] + v[i, 2] * rx)
+
+
+@jit
+def rates(
+    model: Model,
+    state: State,
+    work: Work,
+    own: F64,
+    linked: U8,
+    none: U8,
+    t: float,
+    q: F64,
+    v: F64,
+    out: F64,
+) -> bool:
+    """Accelerations of the cars under their truck constraints; False when singular."""
+    keep_separate()
+    applied_forces(model, state, work, own, linked, t, q, v)
+    truck_rows(model, state, state.truck_on, q, work.wk)
+    ok = factor(model, state.truck_on, none, work.wk)
+    acceleration_gamma(
+        model, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c
+    )
+    solve(
+        model, state.truck_on, none, work.wk, work.force, work.gamma_t, work.gamma_c, out,
+        work.lam_t, work.lam_c,
+    )  # fmt: skip
+    state.cnt[L.EVALS] += 1
+    return ok
+
+
+@jit
+def stored_energy(
+    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: F64
+) -> tuple[float, float]:
+    """Kinetic energy of the cars and energy of the springs, J."""
+    keep_separate()
+    angles(q, wk)
+    kinetic = 0.0
+    spring = 0.0
+    for i in range(q.shape[0]):
+        kinetic += 0.5 * model.car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+        kinetic += 0.5 * model.car[i, L.INERTIA] * v[i, 2] * v[i, 2]
+        if i < q.shape[0] - 1 and linked[i]:
+            gx, gy, _, _, _, _, _, _ = _gap(model, q, v, wk, i)
+            spring += coupling_energy(gx, gy, own[S_K])
+    return kinetic, spring
+
+
+@inner_jit
+def _separation(
+    model: Model, q: F64, wk: F64, i: int, j: int
+) -> tuple[float, float, float]:
+    """Overlap (m) of two rectangles and its normal from i to j; not positive when apart."""
+    dx = q[j, 0] - q[i, 0]
+    dy = q[j, 1] - q[i, 1]
+    least = 1.0e300
+    nx = 0.0
+    ny = 0.0
+    for axis in range(4):
+        k = i if axis < 2 else j
+        if axis % 2 == 0:
+            ax = wk[k, L.W_CT]
+            ay = wk[k, L.W_ST]
+        else:
+            ax = -wk[k, L.W_ST]
+            ay = wk[k, L.W_CT]
+        along = dx * ax + dy * ay
+        reach = 0.0
+        for m in range(2):
+            b = i if m == 0 else j
+            reach += model.car[b, L.HALF_L] * abs(ax * wk[b, L.W_CT] + ay * wk[b, L.W_ST])
+            reach += model.car[b, L.HALF_W] * abs(ay * wk[b, L.W_CT] - ax * wk[b, L.W_ST])
+        overlap = reach - abs(along)
+        if overlap <= 0.0:
+            return overlap, 0.0, 0.0
+        if overlap < least:
+            least = overlap
+            sign = 1.0 if along >= 0.0 else -1.0
+            nx = sign * ax
+            ny = sign * ay
+    return least, nx, ny
+
+
+@jit
+def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> bool:
+    """Impulses between all bodies that overlap and approach; True when there was any.
+
+    The mobilities under the truck constraints are those of the factors in ``work.wk``: a car on
+    the rails gives way along them only.
+    """
+    keep_separate()
+    n = state.q.shape[0]
+    q = state.q
+    v = state.v
+    wk = work.wk
+    hit = False
+    for i in range(n):
+        if model.car[i, L.VIRTUAL] != 0.0:
+            continue
+        for j in range(i + 1, n):
+            if model.car[j, L.VIRTUAL] != 0.0:
+                continue
+            dx = q[j, 0] - q[i, 0]
+            dy = q[j, 1] - q[i, 1]
+            reach = model.car[i, L.RADIUS] + model.car[j, L.RADIUS]
+            if dx * dx + dy * dy >= reach * reach:
+                continue
+            overlap, nx, ny = _separation(model, q, wk, i, j)
+            if overlap <= 0.0:
+                continue
+            closing = (v[i, 0] - v[j, 0]) * nx + (v[i, 1] - v[j, 1]) * ny
+            if closing <= 0.0:
+                continue
+            a = wk[i]
+            b = wk[j]
+            ax = a[L.W_W] * nx + a[L.W_W + 1] * ny
+            ay = a[L.W_W + 1] * nx + a[L.W_W + 3] * ny
+            at = a[L.W_W + 2] * nx + a[L.W_W + 4] * ny
+            bx = b[L.W_W] * nx + b[L.W_W + 1] * ny
+            by = b[L.W_W + 1] * nx + b[L.W_W + 3] * ny
+            bt = b[L.W_W + 2] * nx + b[L.W_W + 4] * ny
+            w_a = ax * nx + ay * ny
+            w_b = bx * nx + by * ny
+            p = collision_impulse(closing, w_a, w_b, own[S_E])
+            if not p > 0.0:
+                continue
+            state.energy[L.E_COLLISION] += energy_lost(closing, w_a, w_b, own[S_E])
+            v[i, 0] -= p * ax
+            v[i, 1] -= p * ay
+            v[i, 2] -= p * at
+            v[j, 0] += p * bx
+            v[j, 1] += p * by
+            v[j, 2] += p * bt
+            hit = True
+            for c in range(2):
+                me = i if c == 0 else j
+                if closing > other[me, O_HIT_V]:
+                    other[me, O_HIT_V] = closing
+                    other[me, O_HIT_OTHER] = (j if c == 0 else i) + 1.0
+                    other[me, O_HIT_T] = state.clock[L.T]
+    return hit
+
+
+@inner_jit
+def _note_derailed(state: State, i: int) -> None:
+    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
+        state.peak[i, L.PK_DERAIL_T] = state.clock[L.T]
+        state.peak[i, L.PK_DERAIL_V] = math.hypot(state.v[i, 0], state.v[i, 1])
+
+
+@inner_jit
+def _note_free(state: State, linked: U8, other: F64, i: int) -> None:
+    n = state.q.shape[0]
+    free = (i == 0 or linked[i - 1] == 0) and (i == n - 1 or linked[i] == 0)
+    off = state.truck_on[i, 0] == 0 or state.truck_on[i, 1] == 0
+    if free and off and math.isnan(other[i, O_FREE_T]):
+        other[i, O_FREE_T] = state.clock[L.T]
+        other[i, O_FREE_V] = math.hypot(state.v[i, 0], state.v[i, 1])
+
+
+@jit
+def advance(
+    model: Model,
+    state: State,
+    work: Work,
+    own: F64,
+    linked: U8,
+    none: U8,
+    other: F64,
+    t_target: float,
+) -> int:
+    """Step until ``t_target`` or the end of the run."""
+    keep_separate()
+    n = state.q.shape[0]
+    clock = state.clock
+    cnt = state.cnt
+    par = model.par
+    floor = par[L.H_MIN]
+    q1 = work.stage_q
+    v1 = work.stage_v
+    while clock[L.T] < t_target and cnt[L.STATUS] == L.RUNNING:
+        t = clock[L.T]
+        clock[L.T_ON] = t
+        if not rates(model, state, work, own, linked, none, t, state.q, state.v, work.kv[0]):
+            return SINGULAR
+        for k in range(L.N_POWER):
+            work.kp[0, k] = work.power[k]
+        for i in range(n):
+            for k in range(5):
+                work.kq[0, i, k] = state.v[i, k]
+        switch = next_switch(model, state, t)
+        h = min(clock[L.H_NEXT], own[S_HMAX])
+        reaches = False
+        if t + h >= switch:
+            h = switch - t
+            reaches = True
+        while True:
+            for s in range(1, 6):
+                for i in range(n):
+                    for k in range(5):
+                        dq = 0.0
+                        dv = 0.0
+                        for r in range(s):
+                            dq += RKF_A[s, r] * work.kq[r, i, k]
+                            dv += RKF_A[s, r] * work.kv[r, i, k]
+                        q1[i, k] = state.q[i, k] + h * dq
+                        v1[i, k] = state.v[i, k] + h * dv
+                        work.kq[s, i, k] = v1[i, k]
+                if not rates(
+                    model, state, work, own, linked, none, t + RKF_C[s] * h, q1, v1, work.kv[s]
+                ):
+                    return SINGULAR
+                for k in range(L.N_POWER):
+                    work.kp[s, k] = work.power[k]
+            error = 0.0
+            rtol = par[L.RTOL]
+            for i in range(n):
+                for k in range(3):
+                    dq = 0.0
+                    dv = 0.0
+                    eq = 0.0
+                    ev = 0.0
+                    for s in range(6):
+                        dq += RKF_B[s] * work.kq[s, i, k]
+                        dv += RKF_B[s] * work.kv[s, i, k]
+                        eq += RKF_E[s] * work.kq[s, i, k]
+                        ev += RKF_E[s] * work.kv[s, i, k]
+                    q1[i, k] = state.q[i, k] + h * dq
+                    v1[i, k] = state.v[i, k] + h * dv
+                    arm = model.car[i, L.GYRATION] if k == 2 else 1.0
+                    eq = abs(h * eq) * arm
+                    ev = abs(h * ev) * arm / (1.0 + arm * abs(state.v[i, k]))
+                    # written so that a nan counts as an error
+                    if not eq <= error * rtol:
+                        error = eq / rtol
+                    if not ev <= error * rtol:
+                        error = ev / rtol
+            ok = math.isfinite(error)
+            grow = 0.2
+            if ok:
+                grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -0.2))
+            if ok and error <= 1.0:
+                break
+            cnt[L.REJECTED] += 1
+            h *= min(grow, 0.9)
+            reaches = False
+            if h < floor:
+                return STEP_FLOOR if ok else NON_FINITE
+        for k in range(L.N_POWER):
+            total = 0.0
+            for s in range(6):
+                total += RKF_B[s] * work.kp[s, k]
+            state.energy[k] += h * total
+        before, spring = stored_energy(model, own, linked, q1, v1, work.wk)
+        before += spring
+        for i in range(n):
+            for k in range(3):
+                if not math.isfinite(q1[i, k] + v1[i, k]):
+                    return NON_FINITE
+            for k in range(2):
+                work.truck_s[i, k] = state.truck_s[i, k]
+        if not project_positions(model, state, work, state.truck_on, none, q1):
+            return SINGULAR
+        project_velocities(model, work, state.truck_on, none, v1)
+        after, spring = stored_energy(model, own, linked, q1, v1, work.wk)
+        state.energy[L.E_STAB_NET] += after + spring - before
+        state.energy[L.E_STAB_GROSS] += abs(after + spring - before)
+        clock[L.T_PREV] = t
+        clock[L.T] = switch if reaches else t + h
+        state.q[:] = q1
+        state.v[:] = v1
+        cnt[L.STEP] += 1
+        clock[L.H_NEXT] = min(max(h * grow, floor), own[S_HMAX])
+
+        # what the rails carry, and what leaves them
+        if not rates(
+            model, state, work, own, linked, none, clock[L.T], state.q, state.v, state.a
+        ):
+            return SINGULAR
+        for i in range(n):
+            for k in range(2):
+                state.rail_force[i, k] = work.lam_t[i, k]
+                if state.truck_on[i, k] and model.track.shape[0] > 0:
+                    last = model.track.shape[0] - 1
+                    end = model.track[last, L.TR_S] + model.track[last, L.TR_LEN]
+                    if not model.track[0, L.TR_S] <= state.truck_s[i, k] <= end:
+                        return TRACK_END
+        moved = False
+        for i in range(n):
+            for k in range(2):
+                if state.truck_on[i, k] == 0:
+                    continue
+                s0 = work.truck_s[i, k]
+                s1 = state.truck_s[i, k]
+                passed = False
+                for b in range(state.breaks.shape[0]):
+                    sb = state.breaks[b]
+                    if s0 <= sb < s1 or s1 < sb <= s0:
+                        passed = True
+                virtual = model.car[i, L.VIRTUAL] != 0.0
+                if passed and virtual:
+                    cnt[L.STATUS] = L.VOID
+                    return DONE
+                quotient = abs(state.rail_force[i, k]) / (
+                    0.5 * par[L.GRAVITY] * model.car[i, L.MASS]
+                )
+                if passed or (quotient > par[L.LV_LIMIT] and not virtual):
+                    state.truck_on[i, k] = 0
+                    _note_derailed(state, i)
+                    moved = True
+        if moved:
+            # the mobilities of the impulses are those of the trucks that are left
+            truck_rows(model, state, state.truck_on, state.q, work.wk)
+            if not factor(model, state.truck_on, none, work.wk):
+                return SINGULAR
+        for i in range(n - 1):
+            if linked[i] == 0:
+                continue
+            gx, gy, rx, ry, _, _, _, _ = _gap(model, state.q, state.v, work.wk, i)
+            sx, sy = coupling_force(gx, gy, rx, ry, own[S_K], own[S_C])
+            if sx * sx + sy * sy > own[S_LIMIT] * own[S_LIMIT]:
+                linked[i] = 0
+                state.energy[L.E_KNUCKLE] += coupling_energy(gx, gy, own[S_K])
+                if par[L.VENT] != 0.0:
+                    at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
+                    apply_brakes(model, state, at, True, True, L.ARR_CONV, clock[L.T])
+        for i in range(n):
+            _note_free(state, linked, other, i)
+        collide(model, state, work, own, other)
+
+        # the end
+        still = True
+        for i in range(n):
+            speed = math.sqrt(state.v[i, 0] ** 2 + state.v[i, 1] ** 2)
+            if speed > par[L.REST_V] or abs(state.v[i, 2]) > par[L.REST_W]:
+                still = False
+        if not still:
+            clock[L.REST_SINCE] = -1.0
+        elif clock[L.REST_SINCE] < 0.0:
+            clock[L.REST_SINCE] = clock[L.T]
+        elif clock[L.T] - clock[L.REST_SINCE] >= par[L.REST_HOLD]:
+            clock[L.DURATION] = clock[L.REST_SINCE]
+            cnt[L.STATUS] = L.AT_REST
+        if cnt[L.STATUS] == L.RUNNING and clock[L.T] >= par[L.T_LIMIT]:
+            cnt[L.STATUS] = L.TIME_LIMIT
+    return DONE
+
+
+class AndersonModel:
+    """A run of the model.
+
+    Parameters
+    ----------
+    params : train, track, initiation, brakes and integration as for the main engine; its
+        couplers, ground and contact laws are replaced by the model's own
+    own : the model's constants
+
+    Raises
+    ------
+    ParameterError
+        A parameter is out of its range.
+    """
+
+    def __init__(self, params: TrainParams, own: AndersonParams | None = None) -> None:
+        self.own = AndersonParams() if own is None else own
+        for name in ("stiffness", "force_limit", "friction", "max_step"):
+            value = getattr(self.own, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ParameterError(f"anderson.{name}", f"must be above 0, not {value:g}")
+        for name, high in (("damping", math.inf), ("restitution", 1.0)):
+            value = getattr(self.own, name)
+            if not 0.0 <= value <= high or not math.isfinite(value):
+                raise ParameterError(f"anderson.{name}", f"is out of its range: {value:g}")
+        self.params = params
+        start = Simulation(params)
+        self.track = start.track
+        self._model, self._state, self._work = start._model, start._state, start._work
+        plain_masses(self._model, self._work.wk)
+        n = len(params.cars)
+        s = self._state
+        self._linked = s.coupled.copy()
+        self._none = np.zeros_like(s.coupled)
+        # rigid couplers: their angles are the cars', and have no motion of their own
+        s.q[:, 3:] = s.q[:, 2:3]
+        s.v[:, 3:] = 0.0
+        self._own = np.zeros(N_S)
+        self._own[:] = (
+            self.own.stiffness,
+            self.own.damping,
+            self.own.force_limit,
+            self.own.friction,
+            self.own.restitution,
+            self.own.max_step,
+        )
+        self._other = np.zeros((n, N_O))
+        self._other[:, [O_FREE_T, O_FREE_V, O_HIT_T]] = math.nan
+        self._initial = sum(self._stored())
+
+    def _stored(self) -> tuple[float, float]:
+        s = self._state
+        return stored_energy(self._model, self._own, self._linked, s.q, s.v, self._work.wk)
+
+    @property
+    def time(self) -> float:
+        """s."""
+        return float(self._state.clock[L.T])
+
+    @property
+    def ended(self) -> bool:
+        """No further step will be taken."""
+        return bool(self._state.cnt[L.STATUS] != L.RUNNING)
+
+    @property
+    def pose(self) -> F64:
+        """(N, 3) x, y (m) and yaw (rad) of the cars."""
+        return self._state.q[:, :3].copy()
+
+    @property
+    def velocity(self) -> F64:
+        """(N, 3) their rates, m/s and rad/s."""
+        return self._state.v[:, :3].copy()
+
+    @property
+    def truck_on(self) -> U8:
+        """(N, 2) trucks on the rails."""
+        return self._state.truck_on.copy()
+
+    @property
+    def coupled(self) -> U8:
+        """(N-1,) springs that hold."""
+        return self._linked.copy()
+
+    def advance_to(self, t: float) -> None:
+        """Step until ``time >= t`` or the run ends.
+
+        Raises
+        ------
+        SimulationError
+            The run cannot go on; its last accepted state stays.
+        """
+        code = advance(
+            self._model, self._state, self._work, self._own, self._linked, self._none,
+            self._other, t,
+        )  # fmt: skip
+        if code != DONE:
+            self._state.cnt[L.STATUS] = L.FAILED
+            kind, reason = _ERRORS[code]
+            raise kind(f"{reason} at t = {self.time:.6f} s")
+
+    def energy(self) -> dict[str, float]:
+        """The ledger, J, in the main engine's entries; ``striker`` holds the springs."""
+        e = self._state.energy
+        kinetic, spring = self._stored()
+        return {
+            "kinetic": kinetic,
+            "striker": spring,
+            "knuckle": 0.0,
+            "initial": self._initial,
+            "brakes": float(e[L.E_BRAKE]),
+            "ground_trucks": float(e[L.E_GROUND_TRUCK]),
+            "ground_body": 0.0,
+            "collisions": float(e[L.E_COLLISION]),
+            "striker_dampers": float(e[L.E_DAMPER]),
+            "knuckles_released": float(e[L.E_KNUCKLE]),
+            "external": float(e[L.E_EXTERNAL]),
+            "stabilization_net": float(e[L.E_STAB_NET]),
+            "stabilization_gross": float(e[L.E_STAB_GROSS]),
+        }
+
+    def residual(self) -> float:
+        """Imbalance of the ledger over the initial energy."""
+        e = self.energy()
+        left = e["initial"] + e["external"] + e["stabilization_net"]
+        taken = ("brakes", "ground_trucks", "collisions", "striker_dampers", "knuckles_released")
+        left -= sum(e[name] for name in taken)
+        return abs(left - e["kinetic"] - e["striker"]) / max(self._initial, 1e-300)
+
+    def run(self) -> AndersonOutcome:
+        """Go on to the end."""
+        self.advance_to(math.inf)
+        return self.outcome()
+
+    def outcome(self) -> AndersonOutcome:
+        """What came of the run so far."""
+        from derail_ros.engine.simulation import STATUS
+
+        s, o = self._state, self._other
+        off = (s.truck_on == 0).any(axis=1)
+        corners = car_corners(
+            s.q[:, :3], self._model.car[:, L.HALF_L], self._model.car[:, L.HALF_W]
+        )
+        box = scene_box(self.track, corners[off], s.truck_s[off, 0])
+        behind = np.flatnonzero(s.truck_on[:, 0])
+        behind = behind[behind > (np.flatnonzero(off)[-1] if off.any() else len(off))]
+        return AndersonOutcome(
+            status=STATUS[int(s.cnt[L.STATUS])],
+            time=self.time,
+            duration=float(s.clock[L.DURATION]),
+            steps=int(s.cnt[L.STEP]),
+            rejected_steps=int(s.cnt[L.REJECTED]),
+            derailed_cars=tuple(int(i) + 1 for i in np.flatnonzero(off)),
+            parted=tuple(int(i) + 1 for i in np.flatnonzero(self._linked == 0)),
+            scene=box,
+            rear_stop=float(s.truck_s[behind[0], 0]) if len(behind) else math.nan,
+            max_truck_offset=float(s.clock[L.MAX_OFFSET]),
+            approach_speed=o[:, O_HIT_V].copy(),
+            approach_other=o[:, O_HIT_OTHER].astype(np.int64),
+            roll=roll_estimates(o[:, O_FREE_V], self.own.roll),
+            energy=self.energy(),
+            residual=self.residual(),
+        )
+
+
+@dataclass(frozen=True)
+class AndersonOutcome:
+    """What came of a run; N cars.
+
+    Attributes
+    ----------
+    status, time, duration, steps, rejected_steps, derailed_cars : as of the main engine
+    parted : couplings whose springs were removed, by the car ahead
+    scene : length, width (m), area (m^2)
+    rear_stop : track coordinate of the first front truck on the rails behind the scene, m
+    max_truck_offset : m
+    approach_speed : (N,) largest speed of approach in a collision, m/s; the model's measure of
+        what a car suffered (it knows no forces)
+    approach_other : (N,) car on the other side of it, 0 without
+    roll : (N,) roll estimate, rad; nan for cars that did not come free
+    energy, residual : ledger, J, and its imbalance
+    """
+
+    status: str
+    time: float
+    duration: float
+    steps: int
+    rejected_steps: int
+    derailed_cars: tuple[int, ...]
+    parted: tuple[int, ...]
+    scene: tuple[float, float, float]
+    rear_stop: float
+    max_truck_offset: float
+    approach_speed: F64
+    approach_other: I64
+    roll: F64
+    energy: dict[str, float]
+    residual: float
+
+
+def roll_estimates(free_speed: F64, params: RollParams | None = None) -> F64:
+    """Roll (rad) of cars that came free at these speeds (m/s); nan where one did not."""
+    p = RollParams() if params is None else params
+    speeds = np.asarray(free_speed, dtype=float)
+    return np.array(
+        [
+            math.nan
+            if math.isnan(v)
+            else roll_angle(
+                v, p.height, p.track_width, p.friction, p.radius, p.fittings, GRAVITY
+            )[0]
+            for v in speeds.ravel()
+        ]
+    ).reshape(speeds.shape)

@@ -1,0 +1,172 @@
+r"""The one-dimensional blockage model: cars on the rails brake, the pile pushes back.
+
+The simplest of the published models that know a train: one coordinate, the distance ``x`` (m)
+that the train has run on since its first car derailed. The cars still on the rails are one mass;
+they brake, and the pile pushes back with a blockage force that grows with speed. One car is lost
+to the pile every ``l`` metres, and the count starts at 1:
+
+    n = 1 + x / l
+    (N - n) m dv/dt = -[(N - n) K_t F_b + (b_0 + b_1 v) m g]
+
+with N the cars of the train, m the mass of a car (kg), ``F_b`` the full brake force of a car
+(35 kN), ``K_t`` its mean share applied over the cars on the rails (signal of 290 m/s from the
+front, then a linear rise in 10 s) and the blockage ``(1.32 + 0.109 v) m g``, v in m/s. What is
+lost is left behind at the train's own speed: no ``v^2`` (see ``bar``).
+
+The constants are a fit to the published speed series of the two-dimensional model (60 cars of
+68 t and 14.1 m at 30, 48, 60, 72 and 90 km/h: 5, 10, 14, 18 and 24 cars); they are not measured,
+and outside of that series they extrapolate. The model knows no single cars, no geometry and no
+collisions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from derail_ros.baselines.bar import GRAVITY, _applied, _check
+
+F64 = NDArray[np.float64]
+
+CAR_LENGTH = 14.1
+"""Travel of the train for each car lost, m: the body length of the fitted train."""
+
+CAR_MASS = 68e3
+"""Mass of a car of the fitted train, kg."""
+
+BRAKE_FORCE = 35e3
+"""Full brake force of a car, N."""
+
+BRAKE_RISE = 10.0
+"""Rise of the brake force, s."""
+
+SIGNAL_SPEED = 290.0
+"""Speed of the emergency signal, m/s."""
+
+BLOCKAGE_REST = 1.32
+"""Blockage force at rest as a multiple of a car's weight, ``b_0``."""
+
+BLOCKAGE_SLOPE = 0.109
+"""Its growth with speed, ``b_1``, s/m."""
+
+
+@dataclass(frozen=True)
+class BlockageEstimate:
+    """Answer of the blockage model; every field has the broadcast shape of the arguments.
+
+    Attributes
+    ----------
+    cars_derailed : n when the train stops, not rounded, at most N; 0 if it stops short
+    whole_train : all cars were lost before it could stop
+    distance : run from the first derailment to the stop, m
+    duration : time to the stop from the start (the braking before the first derailment counts), s
+    """
+
+    cars_derailed: F64
+    whole_train: NDArray[np.bool_]
+    distance: F64
+    duration: F64
+
+
+def blockage(
+    speed: ArrayLike,
+    cars: ArrayLike,
+    *,
+    mass: ArrayLike = CAR_MASS,
+    car_length: ArrayLike = CAR_LENGTH,
+    brake_force: ArrayLike = BRAKE_FORCE,
+    rest: ArrayLike = BLOCKAGE_REST,
+    slope: ArrayLike = BLOCKAGE_SLOPE,
+    run_up: ArrayLike = 0.0,
+    rise_time: float = BRAKE_RISE,
+    signal_speed: float = SIGNAL_SPEED,
+    step: float = 0.02,
+    time_limit: float = 3600.0,
+) -> BlockageEstimate:
+    """Cars derailed, all trains at once; arguments are scalars or arrays that broadcast.
+
+    Parameters
+    ----------
+    speed : v0, m/s
+    cars : N
+    mass : m of a car, kg
+    car_length : l, m
+    brake_force : F_b of a car, N
+    rest, slope : b_0 and b_1 (s/m) of the blockage
+    run_up : way of the first car on the rails before it derails, braked but not blocked, m
+    rise_time, signal_speed : of the brakes, s, m/s
+    step : of the classical Runge-Kutta method, s
+
+    Raises
+    ------
+    ValueError
+        An argument is out of its range, or a train has not stopped after ``time_limit``.
+    """
+    if not np.isfinite(rise_time) or rise_time < 0.0:
+        raise ValueError(f"rise_time: must be zero or positive and finite, not {rise_time:g}")
+    if not signal_speed > 0.0:
+        raise ValueError(f"signal_speed: must be positive, not {signal_speed:g}")
+    arrays = np.broadcast_arrays(
+        _check("speed", speed),
+        _check("cars", cars, positive=True),
+        _check("mass", mass, positive=True),
+        _check("car_length", car_length, positive=True),
+        _check("brake_force", brake_force),
+        _check("rest", rest),
+        _check("slope", slope),
+        _check("run_up", run_up),
+    )
+    shape = arrays[0].shape
+    v, n, m, lc, f_b, b0, b1, ahead = (np.array(a, dtype=float).ravel() for a in arrays)
+    length = n * lc
+    x = -ahead  # of the first car beyond the point
+    duration = np.zeros_like(v)
+    whole = np.zeros(v.shape, dtype=bool)
+
+    def acceleration(t: float, x: F64, v: F64, i: NDArray[np.intp]) -> F64:
+        # what has gone over; the first car goes at once
+        gone = np.where(x >= 0.0, np.minimum(lc[i] + x, length[i]), 0.0)
+        share = _applied(t, gone, length[i], rise_time, signal_speed)
+        brakes = share * f_b[i] / m[i]
+        on_rails = np.maximum(n[i] - gone / lc[i], 1e-9)
+        push = np.where(gone > 0.0, (b0[i] + b1[i] * v) * GRAVITY / on_rails, 0.0)
+        return -(brakes + push)
+
+    live = np.flatnonzero(v > 0.0)
+    t = 0.0
+    while live.size and t < time_limit:
+        i, h = live, step
+        x0, v0 = x[i], v[i]
+        a1 = acceleration(t, x0, v0, i)
+        v2 = np.maximum(v0 + 0.5 * h * a1, 0.0)
+        a2 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v0, v2, i)
+        v3 = np.maximum(v0 + 0.5 * h * a2, 0.0)
+        a3 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v2, v3, i)
+        v4 = np.maximum(v0 + h * a3, 0.0)
+        a4 = acceleration(t + h, x0 + h * v3, v4, i)
+        mean = (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
+        x1 = x0 + h / 6.0 * (v0 + 2.0 * v2 + 2.0 * v3 + v4)
+        v1 = v0 + h * mean
+        stops = v1 <= 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(stops, np.minimum(v0 / -mean, h), h)
+        x1 = np.where(stops, x0 + 0.5 * v0 * part, x1)
+        over = x1 >= length[i] - lc[i]
+        x[i] = np.minimum(x1, length[i] - lc[i])
+        v[i] = np.where(stops | over, 0.0, v1)
+        duration[i] = t + part
+        whole[i] = over
+        live = i[~(stops | over)]
+        t += h
+    if live.size:
+        raise ValueError(f"a train has not stopped after {time_limit:g} s: is there friction?")
+    started = (x >= 0.0) & (np.ravel(arrays[0]) > 0.0)
+    count = np.where(started, np.minimum(1.0 + x / lc, n), 0.0)
+    return BlockageEstimate(
+        count.reshape(shape),
+        whole.reshape(shape),
+        np.maximum(x, 0.0).reshape(shape),
+        duration.reshape(shape),
+    )
