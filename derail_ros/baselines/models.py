@@ -1,0 +1,435 @@
+"""The models by name, put to work on scenarios: one record, with the same keys, and one scene each.
+
+``toma`` is the main model. What a model does not know is ``None`` in its record.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.baselines.train import (
+    ModelError,
+    Train,
+    brakes_of,
+    derailing_train,
+    is_straight,
+)
+from derail_ros.studies.records import Record, number, outcome_record
+
+if TYPE_CHECKING:
+    from derail_ros.engine import Simulation, TrainParams
+    from derail_ros.review.scene import Scene
+
+MODELS: dict[str, str] = {
+    "toma": "E. E. Toma 1998, the main model",
+    "yang-manos": "Yang and Manos 1972",
+    "anderson": "Birk, Anderson and Coppens 1990",
+    "roorda-gracie": "Roorda and Gracie 1992",
+    "blockage": "one-dimensional blockage model",
+    "bar-1": "a bar slides from the rails onto the ground",
+    "bar-2": "bar-1, what has gone too far is left behind (published form)",
+    "bar-2-corrected": "bar-2 without the gain of energy",
+    "bar-3": "bar-2 with brakes (published form)",
+    "bar-3-corrected": "bar-3 without the gain of energy",
+}
+"""Name -> what it is."""
+
+VARIED = ("toma", "yang-manos", "anderson")
+"""Models whose outcome knows the initiating lateral force: those that have ensembles."""
+
+ENERGIES = (
+    "kinetic",
+    "striker",
+    "knuckle",
+    "initial",
+    "brakes",
+    "ground_trucks",
+    "ground_body",
+    "collisions",
+    "striker_dampers",
+    "knuckles_released",
+    "external",
+    "stabilization_net",
+    "stabilization_gross",
+)
+
+
+@dataclass(frozen=True)
+class ModelRun:
+    """What a model made of a train.
+
+    Attributes
+    ----------
+    model : its name
+    record : the outcome, keys as of ``outcome_record``
+    scene : the final scene; None for models without a plane
+    notes : what it tells beyond the keys of the record
+    """
+
+    model: str
+    record: Record
+    scene: Scene | None = None
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+def blank_record() -> Record:
+    """A record in which nothing is known."""
+    return {
+        "cars_derailed": None,
+        "derailed_cars": None,
+        "duration_s": None,
+        "peak_force_N": None,
+        "peak_force_pair": None,
+        "peak_force_time_s": None,
+        "peak_resultant_N": None,
+        "cars_above_5MN": None,
+        "cars_above_10MN": None,
+        "scene_length_m": None,
+        "scene_width_m": None,
+        "scene_area_m2": None,
+        "rear_stop_m": None,
+        "max_coupler_gap_m": None,
+        "max_truck_offset_m": None,
+        "energy_initial_J": None,
+        "energy_J": dict.fromkeys(ENERGIES),
+        "energy_residual": None,
+        "void": False,
+        "status": "at rest",
+        "end_time_s": None,
+        "steps": None,
+        "rejected_steps": None,
+        "wall_s": None,
+    }
+
+
+def run_model(
+    name: str,
+    params: TrainParams,
+    *,
+    roll: bool = False,
+    progress: Callable[[float, int], None] | None = None,
+) -> ModelRun:
+    """Put a model to work on a train.
+
+    Parameters
+    ----------
+    name : of :data:`MODELS`
+    params : the engine's parameters of a scenario
+    roll : add the roll estimate to the notes (``toma``, ``anderson``)
+    progress : called now and then with the time of the run (s) and the cars derailed so far
+
+    Raises
+    ------
+    ModelError
+        The model cannot be put to work on this train.
+    ParameterError, SimulationError
+        As of the engine, for the models that use it.
+    """
+    if name not in MODELS:
+        raise ModelError(f"unknown model {name!r}; there are {', '.join(MODELS)}")
+    began = time.perf_counter()
+    if name == "toma":
+        run = _toma(params, roll, progress)
+    elif name == "yang-manos":
+        run = _yang_manos(params, progress)
+    elif name == "anderson":
+        run = _anderson(params, roll, progress)
+    elif name == "roorda-gracie":
+        run = _roorda_gracie(params)
+    elif name == "blockage":
+        run = _blockage(params)
+    else:
+        run = _bar(name, params)
+    run.record["wall_s"] = number(time.perf_counter() - began, 6)
+    return run
+
+
+# The main engine -----------------------------------------------------------------------------
+
+
+def _go(simulation: Simulation, progress: Callable[[float, int], None] | None) -> None:
+    while not simulation.ended:
+        simulation.advance_to(simulation.time + 0.5)
+        if progress is not None:
+            progress(simulation.time, len(simulation.outcome().derailed_cars))
+
+
+def _toma(
+    params: TrainParams, roll: bool, progress: Callable[[float, int], None] | None
+) -> ModelRun:
+    from derail_ros.engine import Simulation
+    from derail_ros.review.scene import scene_from_simulation
+
+    simulation = Simulation(params)
+    notes: dict[str, Any] = {}
+    if roll:
+        from derail_ros.baselines.anderson import roll_estimates
+
+        free = free_speeds(simulation)
+        notes["roll_deg"] = _degrees(roll_estimates(free))
+        notes["free_speed_m_per_s"] = [number(v, 3) for v in free]
+    else:
+        _go(simulation, progress)
+    return ModelRun(
+        "toma", outcome_record(simulation.outcome()), scene_from_simulation(simulation), notes
+    )
+
+
+def _degrees(angles: NDArray[np.float64]) -> list[float | None]:
+    return [number(math.degrees(a), 1) for a in angles]
+
+
+def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
+    """Run a simulation to its end; the speed at which each car came free of both neighbours.
+
+    A car is free when it is derailed and neither of its couplings holds (a missing neighbour
+    counts as parted); nan for cars that never are, m/s.
+    """
+    speed = np.full(simulation.n_cars, math.nan)
+    seen = -1
+    while True:
+        changes = len(simulation.events)
+        if changes != seen:
+            seen = changes
+            sample = simulation.sample()
+            held = np.zeros(simulation.n_cars, dtype=bool)
+            held[:-1] |= sample.coupled.astype(bool)
+            held[1:] |= sample.coupled.astype(bool)
+            off = ~sample.truck_on.astype(bool).all(axis=1)
+            new = off & ~held & np.isnan(speed)
+            speed[new] = np.hypot(sample.v[new, 0], sample.v[new, 1])
+        if simulation.ended:
+            return speed
+        simulation.advance_steps(1)
+
+
+def _yang_manos(
+    params: TrainParams, progress: Callable[[float, int], None] | None
+) -> ModelRun:
+    from derail_ros.baselines.yang_manos import configure, zigzag
+    from derail_ros.engine import Simulation
+    from derail_ros.review.scene import scene_from_simulation
+
+    train = derailing_train(params)
+    simulation = Simulation(configure(params))
+    _go(simulation, progress)
+    outcome = simulation.outcome()
+    record = outcome_record(outcome)
+    record["derailed_cars"] = [c + train.first for c in record["derailed_cars"]]
+    for key in (
+        "peak_force_N",
+        "peak_force_pair",
+        "peak_force_time_s",
+        "peak_resultant_N",
+        "cars_above_5MN",
+        "cars_above_10MN",
+    ):
+        record[key] = None
+    record["energy_J"]["collisions"] = None
+    record["energy_J"]["ground_body"] = None
+    scene = scene_from_simulation(simulation)
+    yaw = outcome.final_pose[: outcome.cars_derailed, 2]
+    notes = {
+        "zigzag": number(zigzag(yaw), 3),
+        "couplings_parted": int((~simulation.sample().coupled.astype(bool)).sum()),
+    }
+    numbers = tuple(train.first + 1 + i for i in range(train.n))
+    unknown = np.full(train.n, np.nan)
+    return ModelRun(
+        "yang-manos",
+        record,
+        dataclasses.replace(scene, numbers=numbers, peak_force=unknown),
+        notes,
+    )
+
+
+# A model of its own --------------------------------------------------------------------------
+
+
+def _anderson(
+    params: TrainParams, roll: bool, progress: Callable[[float, int], None] | None
+) -> ModelRun:
+    from derail_ros.baselines.anderson import AndersonModel
+    from derail_ros.review.scene import make_scene
+
+    model = AndersonModel(params)
+    while not model.ended:
+        model.advance_to(model.time + 0.5)
+        if progress is not None:
+            progress(model.time, int((model.truck_on == 0).any(axis=1).sum()))
+    o = model.outcome()
+    record = blank_record()
+    record |= {
+        "cars_derailed": len(o.derailed_cars),
+        "derailed_cars": list(o.derailed_cars),
+        "duration_s": number(o.duration),
+        "scene_length_m": number(o.scene[0]),
+        "scene_width_m": number(o.scene[1]),
+        "scene_area_m2": number(o.scene[2]),
+        "rear_stop_m": number(o.rear_stop),
+        "energy_initial_J": number(o.energy["initial"]),
+        "energy_J": {k: number(v) for k, v in o.energy.items()},
+        "energy_residual": number(o.residual),
+        "void": o.status == "void",
+        "status": o.status,
+        "end_time_s": number(o.time),
+        "steps": o.steps,
+        "rejected_steps": o.rejected_steps,
+    }
+    record["energy_J"]["ground_body"] = record["energy_J"]["knuckle"] = None
+    notes: dict[str, Any] = {
+        "couplings_parted": len(o.parted),
+        "approach_speed_m_per_s": [number(v, 3) for v in o.approach_speed],
+    }
+    if o.approach_speed.max(initial=0.0) > 0.0:
+        worst = int(np.argmax(o.approach_speed))
+        notes["largest_approach_speed_m_per_s"] = number(o.approach_speed[worst], 3)
+        notes["largest_approach_pair"] = sorted([worst + 1, int(o.approach_other[worst])])
+    if roll:
+        notes["roll_deg"] = _degrees(o.roll)
+    straight = None if is_straight(params) else model.track
+    scene = make_scene(
+        params.cars,
+        model.pose,
+        model.truck_on,
+        model.coupled,
+        track=straight,
+        breaks=params.track.rail_breaks,
+    )
+    return ModelRun("anderson", record, _boxed(scene, o.scene), notes)
+
+
+def _boxed(scene: Scene, box: tuple[float, float, float]) -> Scene:
+    return dataclasses.replace(
+        scene, scene_length=box[0], scene_width=box[1], scene_area=box[2]
+    )
+
+
+# Without forces -------------------------------------------------------------------------------
+
+
+def _numbers(train: Train, count: float) -> list[int]:
+    """The first cars of the train, as many as a count that is not whole rounds to."""
+    return [train.first + 1 + i for i in range(min(round(count), train.n))]
+
+
+def _roorda_gracie(params: TrainParams) -> ModelRun:
+    from derail_ros.baselines.roorda_gracie import roorda_gracie
+    from derail_ros.engine.outcome import car_corners, scene_box
+    from derail_ros.engine.track import Track
+    from derail_ros.review.scene import make_scene
+
+    if not is_straight(params):
+        raise ModelError("the model of Roorda and Gracie is put to work on straight track only")
+    train = derailing_train(params)
+    run = roorda_gracie(train, brakes_of(params, train))
+    k = run.derailed
+    half = [np.array([0.5 * getattr(c, key) for c in train.cars]) for key in ("length", "width")]
+    straight = Track(dataclasses.replace(params.track, segments=()))
+    corners = car_corners(run.pose, *half)
+    box = scene_box(straight, corners[:k], run.pose[:k, 0])
+    record = blank_record()
+    record |= {
+        "cars_derailed": k,
+        "derailed_cars": _numbers(train, k),
+        "duration_s": number(run.duration),
+        "scene_length_m": number(box[0]),
+        "scene_width_m": number(box[1]),
+        "scene_area_m2": number(box[2]),
+        "energy_initial_J": number(run.energy[0]),
+        "status": "whole train derailed" if run.whole_train else "at rest",
+        "end_time_s": number(run.duration),
+        "steps": len(run.time) - 1,
+        "rejected_steps": 0,
+    }
+    if k < train.n:
+        record["rear_stop_m"] = number(run.pose[k, 0] + train.cars[k].truck_distance)
+    record["energy_J"] |= {
+        "kinetic": number(run.energy[-1]),
+        "initial": number(run.energy[0]),
+        "brakes": number(run.brake_work),
+        "ground_trucks": number(run.ground_work),
+    }
+    on = np.ones((train.n, 2), dtype=bool)
+    on[:k] = False
+    scene = make_scene(
+        train.cars,
+        run.pose,
+        on,
+        np.ones(train.n - 1, dtype=bool),
+        breaks=(train.point,),
+    )
+    numbers = tuple(train.first + 1 + i for i in range(train.n))
+    scene = dataclasses.replace(_boxed(scene, box), numbers=numbers)
+    return ModelRun("roorda-gracie", record, scene, {"advance_m": number(run.advance, 3)})
+
+
+def _one_dimensional(
+    train: Train, count: float, duration: float, whole: bool, masses: float
+) -> Record:
+    record = blank_record()
+    record |= {
+        "cars_derailed": number(count, 3),
+        "derailed_cars": _numbers(train, count),
+        "duration_s": number(duration),
+        "energy_initial_J": number(0.5 * masses * train.speed**2),
+        "status": "whole train derailed" if whole else "at rest",
+        "end_time_s": number(duration),
+    }
+    record["energy_J"]["initial"] = record["energy_initial_J"]
+    return record
+
+
+def _blockage(params: TrainParams) -> ModelRun:
+    from derail_ros.baselines.blockage import blockage
+
+    train = derailing_train(params)
+    answer = blockage(
+        train.speed,
+        train.n,
+        mass=train.mean_mass(),
+        car_length=train.mean_length(),
+        run_up=train.run_up,
+    )
+    record = _one_dimensional(
+        train,
+        float(answer.cars_derailed),
+        float(answer.duration),
+        bool(answer.whole_train),
+        float(train.masses().sum()),
+    )
+    return ModelRun("blockage", record, None, {"distance_m": number(answer.distance, 3)})
+
+
+def _bar(name: str, params: TrainParams) -> ModelRun:
+    from derail_ros.baselines import bar
+
+    train = derailing_train(params)
+    length = train.mean_length()
+    arguments: dict[str, Any] = {"car_length": length}
+    kind = name.removesuffix("-corrected")
+    if kind != "bar-1":
+        arguments["form"] = "published" if kind == name else "corrected"
+        arguments["ground_length"] = 3.0 * length
+    function = {"bar-1": bar.bar_case_1, "bar-2": bar.bar_case_2, "bar-3": bar.bar_case_3}[kind]
+    answer = function(train.speed, train.n, **arguments)
+    record = _one_dimensional(
+        train,
+        float(answer.cars_derailed),
+        float(answer.duration),
+        bool(answer.whole_train),
+        float(train.masses().sum()),
+    )
+    notes = {
+        "distance_m": number(answer.distance, 3),
+        "peak_speed_m_per_s": number(answer.peak_speed, 3),
+    }
+    return ModelRun(name, record, None, notes)
