@@ -83,8 +83,28 @@ def simulate(
             help="Write a recording (rosbag2), figures, outcomes and a manifest.",
         ),
     ] = None,
+    model: Annotated[
+        str,
+        typer.Option(
+            "--model",
+            "-m",
+            help="toma (this project's), yang-manos, anderson, roorda-gracie, blockage, bar-1, "
+            "bar-2 or bar-3 (also bar-2-corrected, bar-3-corrected); docs/baselines.md.",
+        ),
+    ] = "toma",
+    roll: Annotated[
+        bool,
+        typer.Option("--roll", help="Estimate how far free cars roll (toma and anderson)."),
+    ] = False,
 ) -> int:
-    """Run a scenario to rest, without a ROS graph, and report what came of it."""
+    """Run a scenario to rest, without a ROS graph, and report what came of it.
+
+    Other models than toma write no recording.
+    """
+    if model != "toma" or roll:
+        from derail_ros.commands import models as other
+
+        return other.run(model, scenario, settings or [], ensemble, seed, roll, as_json, output)
     from derail_ros.commands import simulate as command
 
     return command.run(scenario, settings or [], ensemble, seed, jobs, as_json, output)
@@ -122,6 +142,51 @@ def estimate(
     from derail_ros.commands import estimate as command
 
     return command.run(name, form, speed_kmh, mu1, mu2, cars, car_length, as_json)
+
+
+@app.command("compare-models")
+def compare_models(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
+    ] = None,
+    models: Annotated[
+        list[str] | None, typer.Option("--model", "-m", help="Only these; all by default.")
+    ] = None,
+    as_json: Json = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Write the table and a figure."),
+    ] = None,
+) -> int:
+    """Put this model and those before it to work on one train."""
+    from derail_ros.commands import models as command
+
+    return command.compare_models(scenario, settings or [], models or [], as_json, output)
+
+
+@app.command("joint-velocities")
+def joint_velocities(
+    scenario: Annotated[
+        str | None, typer.Argument(help="A scenario's train; equal bars without.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
+    ] = None,
+    cars: Annotated[int, typer.Option(help="Number of equal bars.")] = 6,
+    train_mass: Annotated[
+        float, typer.Option(help="Mass of all equal bars, kg; Johnson's train by default.")
+    ] = 450e3,
+    length: Annotated[float, typer.Option(help="Length of an equal bar, m.")] = 15.0,
+    impulse: Annotated[float, typer.Option(help="Transverse impulse on the head, N s.")] = 1000.0,
+    as_json: Json = False,
+) -> int:
+    """Joint velocities of a train at rest after a blow across its head (Johnson, Guran)."""
+    from derail_ros.commands import models as command
+
+    return command.joint_velocities(
+        scenario, settings or [], cars, train_mass, length, impulse, as_json
+    )
 
 
 @app.command()

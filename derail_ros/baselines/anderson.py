@@ -102,7 +102,7 @@ class AndersonParams:
 
     stiffness: float = 1.0e8
     damping: float = 1.0e6
-    force_limit: float = 1.0e7
+    force_limit: float = 5.0e6
     friction: float = 1.25
     restitution: float = 0.25
     max_step: float = 5e-3
@@ -236,9 +236,7 @@ def rates(
     applied_forces(model, state, work, own, linked, t, q, v)
     truck_rows(model, state, state.truck_on, q, work.wk)
     ok = factor(model, state.truck_on, none, work.wk)
-    acceleration_gamma(
-        model, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c
-    )
+    acceleration_gamma(model, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c)
     solve(
         model, state.truck_on, none, work.wk, work.force, work.gamma_t, work.gamma_c, out,
         work.lam_t, work.lam_c,
@@ -266,9 +264,7 @@ def stored_energy(
 
 
 @inner_jit
-def _separation(
-    model: Model, q: F64, wk: F64, i: int, j: int
-) -> tuple[float, float, float]:
+def _separation(model: Model, q: F64, wk: F64, i: int, j: int) -> tuple[float, float, float]:
     """Overlap (m) of two rectangles and its normal from i to j; not positive when apart."""
     dx = q[j, 0] - q[i, 0]
     dy = q[j, 1] - q[i, 1]
@@ -407,6 +403,9 @@ def advance(
         for i in range(n):
             for k in range(5):
                 work.kq[0, i, k] = state.v[i, k]
+            # kept: the stages move the track coordinates
+            for k in range(2):
+                work.truck_s[i, k] = state.truck_s[i, k]
         switch = next_switch(model, state, t)
         h = min(clock[L.H_NEXT], own[S_HMAX])
         reaches = False
@@ -476,8 +475,6 @@ def advance(
             for k in range(3):
                 if not math.isfinite(q1[i, k] + v1[i, k]):
                     return NON_FINITE
-            for k in range(2):
-                work.truck_s[i, k] = state.truck_s[i, k]
         if not project_positions(model, state, work, state.truck_on, none, q1):
             return SINGULAR
         project_velocities(model, work, state.truck_on, none, v1)
@@ -492,9 +489,7 @@ def advance(
         clock[L.H_NEXT] = min(max(h * grow, floor), own[S_HMAX])
 
         # what the rails carry, and what leaves them
-        if not rates(
-            model, state, work, own, linked, none, clock[L.T], state.q, state.v, state.a
-        ):
+        if not rates(model, state, work, own, linked, none, clock[L.T], state.q, state.v, state.a):
             return SINGULAR
         for i in range(n):
             for k in range(2):
@@ -773,9 +768,9 @@ def roll_estimates(free_speed: F64, params: RollParams | None = None) -> F64:
         [
             math.nan
             if math.isnan(v)
-            else roll_angle(
-                v, p.height, p.track_width, p.friction, p.radius, p.fittings, GRAVITY
-            )[0]
+            else roll_angle(v, p.height, p.track_width, p.friction, p.radius, p.fittings, GRAVITY)[
+                0
+            ]
             for v in speeds.ravel()
         ]
     ).reshape(speeds.shape)

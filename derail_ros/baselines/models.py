@@ -1,4 +1,4 @@
-"""The models by name, put to work on scenarios: one record, with the same keys, and one scene each.
+"""The models by name: each put to work on scenarios gives a record with the same keys and a scene.
 
 ``toma`` is the main model. What a model does not know is ``None`` in its record.
 """
@@ -211,9 +211,7 @@ def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
         simulation.advance_steps(1)
 
 
-def _yang_manos(
-    params: TrainParams, progress: Callable[[float, int], None] | None
-) -> ModelRun:
+def _yang_manos(params: TrainParams, progress: Callable[[float, int], None] | None) -> ModelRun:
     from derail_ros.baselines.yang_manos import configure, zigzag
     from derail_ros.engine import Simulation
     from derail_ros.review.scene import scene_from_simulation
@@ -308,9 +306,7 @@ def _anderson(
 
 
 def _boxed(scene: Scene, box: tuple[float, float, float]) -> Scene:
-    return dataclasses.replace(
-        scene, scene_length=box[0], scene_width=box[1], scene_area=box[2]
-    )
+    return dataclasses.replace(scene, scene_length=box[0], scene_width=box[1], scene_area=box[2])
 
 
 # Without forces -------------------------------------------------------------------------------

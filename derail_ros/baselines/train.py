@@ -121,9 +121,7 @@ def derailing_train(params: TrainParams) -> Train:
     """
     start = params.initiation
     fronts = (
-        start.position
-        - centres(params)
-        + np.array([car.truck_distance for car in params.cars])
+        start.position - centres(params) + np.array([car.truck_distance for car in params.cars])
     )
     derailed = sorted({number - 1 for number, _ in start.derailed_trucks})
     meets = []

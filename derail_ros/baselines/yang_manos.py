@@ -107,9 +107,7 @@ def configure(params: TrainParams, own: YangManosParams | None = None) -> TrainP
         time = train.run_up / train.speed if train.speed > 0.0 else 0.0
         moved = [BrakeTrigger(time=time, source="front")]
     forces = tuple(
-        replace(f, car=f.car - train.first)
-        for f in start.lateral_forces
-        if f.car > train.first
+        replace(f, car=f.car - train.first) for f in start.lateral_forces if f.car > train.first
     )
     derailed = ((1, "front"), (1, "rear")) if train.derailed else ()
     for number in range(2, train.derailed + 1):

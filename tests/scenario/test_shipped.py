@@ -29,6 +29,7 @@ NAMES = [
     "mississauga_published_brake_instant",
     "mississauga_published_brake_instant_traction",
     "mississauga_published_brake_traction",
+    "yang_manos_base",
 ]
 
 
@@ -51,7 +52,9 @@ def test_loads_converts_and_is_described(name):
     assert scenario.name == name
     assert scenario.title and scenario.description and scenario.source
     assert scenario.n_cars == sum(car.represents for car in params.cars)
-    assert params.brakes.vent_on_parting == (not name.startswith(("mississauga", "base_train")))
+    assert params.brakes.vent_on_parting == (
+        not name.startswith(("mississauga", "base_train", "yang_manos"))
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)

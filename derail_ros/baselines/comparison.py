@@ -1,0 +1,250 @@
+"""Models side by side on one train: a table of measures, and a figure of the final scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.baselines.models import MODELS, ModelRun, run_model
+from derail_ros.baselines.train import ModelError
+from derail_ros.studies.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from derail_ros.engine import TrainParams
+    from derail_ros.review.scene import Scene
+
+MEASURES: tuple[tuple[str, str, float, int], ...] = (
+    ("cars derailed", "cars_derailed", 1.0, 1),
+    ("duration (s)", "duration_s", 1.0, 1),
+    ("peak force (MN)", "peak_force_N", 1e-6, 1),
+    ("scene length (m)", "scene_length_m", 1.0, 1),
+    ("scene width (m)", "scene_width_m", 1.0, 1),
+    ("wall time (s)", "wall_s", 1.0, 3),
+)
+"""Heading, key of the record, factor, digits."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A model's answer, or why there is none."""
+
+    model: str
+    run: ModelRun | None
+    error: str | None = None
+
+    @property
+    def record(self) -> Record | None:
+        """The outcome."""
+        return None if self.run is None else self.run.record
+
+
+def compare(
+    params: TrainParams,
+    models: Sequence[str] = tuple(MODELS),
+    progress: Callable[[str], None] | None = None,
+) -> list[Entry]:
+    """Put models to work on a train; one that cannot is an entry with the reason."""
+    from derail_ros.engine import DerailError
+
+    entries = []
+    for name in models:
+        if progress is not None:
+            progress(name)
+        try:
+            entries.append(Entry(name, run_model(name, params)))
+        except (ModelError, DerailError) as error:
+            entries.append(Entry(name, None, " ".join(str(error).split())))
+    return entries
+
+
+def cell(record: Mapping[str, Any] | None, key: str, factor: float, digits: int) -> str:
+    """A measure as text; ``-`` where the model does not know it."""
+    value = None if record is None else record.get(key)
+    if value is None:
+        return "-"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value * factor:.{digits}f}"
+
+
+def rows(entries: Sequence[Entry]) -> list[list[str]]:
+    """One row of texts a model: name, the measures, remark."""
+    out = []
+    for entry in entries:
+        record = entry.record
+        remark = entry.error or ""
+        if record is not None and record["status"] != "at rest":
+            remark = record["status"]
+        out.append([entry.model, *(cell(record, key, f, d) for _, key, f, d in MEASURES), remark])
+    return out
+
+
+def markdown(entries: Sequence[Entry]) -> str:
+    """The table for a page."""
+    headings = ["model", *(m[0] for m in MEASURES), ""]
+    lines = [
+        "| " + " | ".join(headings) + " |",
+        "|---|" + "---:|" * len(MEASURES) + "---|",
+    ]
+    for row in rows(entries):
+        lines.append("| " + " | ".join([f"`{row[0]}`", *row[1:]]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+# Figure ---------------------------------------------------------------------------------------
+
+
+def figure(title: str, entries: Sequence[Entry]) -> Figure:
+    """Final scenes to one scale, one above the other, and the counts of all models beside."""
+    import matplotlib
+
+    from derail_ros.review.figures import STYLE
+
+    with matplotlib.rc_context(STYLE):
+        return _figure(title, entries)
+
+
+def _window(scene: Scene) -> tuple[float, float, float, float]:
+    corners = scene.corners()[scene.derailed & (scene.represents == 1)].reshape(-1, 2)
+    if not len(corners):
+        corners = scene.corners()[:3].reshape(-1, 2)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _figure(title: str, entries: Sequence[Entry]) -> Figure:
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    from derail_ros.review.figures import BLUE, FAINT, INK, RAIL, STATES, VERMILION
+
+    scenes = [(e, e.run.scene) for e in entries if e.run is not None and e.run.scene is not None]
+    counts = [e for e in entries if e.record and e.record["cars_derailed"] is not None]
+    windows = [_window(s) for _, s in scenes]
+    margin = 10.0
+    x0 = min((w[0] for w in windows), default=0.0) - margin
+    x1 = max((w[1] for w in windows), default=1.0) + margin
+    tall = [max(w[3] - w[2] + 8.0, 16.0) for w in windows]
+
+    left, right, width = 0.25, 3.55, 12.0
+    inner = width - left - right - 0.2
+    scale = inner / (x1 - x0)
+    heading, gap, foot = 0.75, 0.36, 0.5
+    panels = [t * scale for t in tall]
+    height = max(heading + sum(panels) + gap * len(panels) + foot, 3.2)
+    page = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(page)
+    page.text(left / width, 1.0 - 0.25 / height, title, size=13, weight="bold", va="center")
+
+    top = height - heading
+    for (entry, scene), window, panel in zip(scenes, windows, panels, strict=True):
+        assert entry.record is not None
+        axes = page.add_axes((left / width, (top - panel) / height, inner / width, panel / height))
+        middle = 0.5 * (window[2] + window[3])
+        half = 0.5 * panel / scale
+        axes.set_xlim(x0, x1)
+        axes.set_ylim(middle - half, middle + half)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        line = scene.track
+        if scene.straight:
+            line = np.array([[x0, line[0, 1]], [x1, line[0, 1]]])
+        axes.plot(line[:, 0], line[:, 1], color=RAIL, lw=1.2, zorder=1)
+        for x, y, psi in scene.breaks:
+            n = 4.0 * np.array([-math.sin(psi), math.cos(psi)])
+            axes.plot([x - n[0], x + n[0]], [y - n[1], y + n[1]], color=VERMILION, lw=2, zorder=6)
+        state = np.where(scene.free, 2, np.where(scene.derailed, 1, 0))
+        corners = scene.corners()
+        real = scene.represents == 1
+        for k, (_, fill, hatch) in enumerate(STATES):
+            chosen = real & (state == k)
+            if chosen.any():
+                axes.add_collection(
+                    PolyCollection(
+                        list(corners[chosen]),
+                        facecolors=fill,
+                        edgecolors=INK,
+                        linewidths=0.5,
+                        hatch=hatch or None,
+                        alpha=None if k == 0 else 0.85,
+                        zorder=4,
+                    )
+                )
+        pivots, faces = scene.pivots(), scene.faces()
+        shanks = np.stack([pivots, faces], axis=2)[real].reshape(-1, 2, 2)
+        axes.add_collection(LineCollection(list(shanks), colors=INK, linewidths=0.7, zorder=3))
+        record = entry.record
+        words = f"{entry.model}:  {cell(record, 'cars_derailed', 1.0, 1)} cars"
+        if record["duration_s"] is not None:
+            words += f",  {record['duration_s']:.1f} s"
+        words += f",  {record['scene_length_m']:.0f} x {record['scene_width_m']:.0f} m"
+        if record["peak_force_N"] is not None:
+            words += f",  {record['peak_force_N'] * 1e-6:.1f} MN"
+        if record["status"] != "at rest":
+            words += f",  {record['status']}"
+        page.text(left / width, (top + 0.11) / height, words, size=9.5, va="center")
+        top -= panel + gap
+    if scenes:
+        bar = 50.0 if x1 - x0 > 150.0 else 20.0
+        axes = page.add_axes((left / width, 0.08 / height, inner / width, 0.36 / height))
+        axes.set_axis_off()
+        axes.set_xlim(0.0, inner)
+        axes.set_ylim(0.0, 0.36)
+        axes.plot([0.05, 0.05 + bar * scale], [0.2, 0.2], color=INK, lw=2.5)
+        axes.text(0.12 + bar * scale, 0.2, f"{bar:g} m", va="center", size=8.5)
+        handles = [
+            Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.6, label=label)
+            for label, fill, hatch in STATES
+        ]
+        axes.legend(
+            handles=handles, loc="center right", ncol=3, frameon=False, fontsize=8.5,
+            borderaxespad=0.0, handlelength=1.6, columnspacing=1.2,
+        )  # fmt: skip
+
+    tall_bars = min(0.36 * len(counts), height - heading - 0.75)
+    axes = page.add_axes(
+        (
+            1.0 - (right - 1.35) / width,
+            (height - heading - tall_bars) / height,
+            (right - 1.35 - 0.55) / width,
+            tall_bars / height,
+        )
+    )
+    values = [float(e.record["cars_derailed"]) for e in counts if e.record]
+    place = np.arange(len(counts))
+    plane = {e.model for e, _ in scenes}
+    colours = [
+        BLUE if e.model == "toma" else ("#7cc3ee" if e.model in plane else "#c9c9c9")
+        for e in counts
+    ]
+    axes.barh(place, values, color=colours, edgecolor=INK, linewidth=0.6, height=0.68)
+    for y, value in zip(place, values, strict=True):
+        text = f"{value:.0f}" if value == round(value) else f"{value:.1f}"
+        axes.annotate(text, (value, y), (3, 0), textcoords="offset points", va="center", size=8.5)
+    axes.set_yticks(place, [e.model for e in counts], size=8.5)
+    axes.set_ylim(len(counts) - 0.5, -0.5)
+    axes.set_xlim(0.0, max([*values, 1.0]) * 1.02)
+    axes.tick_params(length=0)
+    axes.set_xticks([])
+    for side in ("top", "right", "bottom"):
+        axes.spines[side].set_visible(False)
+    page.text(
+        1.0 - (right - 1.35) / width, (height - heading + 0.11) / height, "cars derailed",
+        size=9.5, va="center",
+    )  # fmt: skip
+    page.text(
+        1.0 - (right - 1.35) / width,
+        (height - heading - tall_bars - 0.16) / height,
+        "grey: models without a plane",
+        size=8,
+        color=FAINT,
+        va="center",
+    )
+    return page

@@ -1,0 +1,335 @@
+"""``derail simulate --model``, ``derail compare-models`` and ``derail joint-velocities``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+
+if TYPE_CHECKING:
+    from derail_ros.baselines.models import ModelRun
+    from derail_ros.scenario import Scenario
+    from derail_ros.studies.records import Record
+
+
+def _check_model(name: str) -> None:
+    from derail_ros.baselines.models import MODELS
+
+    if name not in MODELS:
+        raise CommandFailure(f"--model: there is no {name!r}; there are {', '.join(MODELS)}")
+
+
+def _needs_kernels(name: str) -> bool:
+    return name in ("toma", "yang-manos", "anderson")
+
+
+def run(
+    model: str,
+    name_or_file: str,
+    settings: Sequence[str],
+    ensemble: int | None,
+    seed: int,
+    roll: bool,
+    as_json: bool,
+    output: Path | None,
+) -> int:
+    """Run a scenario with one of the models; the exit code."""
+    from derail_ros.baselines.models import VARIED, ModelError, run_model
+    from derail_ros.engine import ParameterError, SimulationError
+    from derail_ros.studies.ensemble import member_factor, vary
+    from derail_ros.studies.records import Moments, failed_record
+
+    _check_model(model)
+    if roll and model not in ("toma", "anderson"):
+        raise CommandFailure(f"--roll: {model} parts no coupling; no car of it comes free")
+    scenario = common.load(name_or_file, settings)
+    params = scenario.to_params()
+    members = 1 if ensemble is None else ensemble
+    if members > 1 and model not in VARIED:
+        raise CommandFailure(f"--ensemble: {model} knows no lateral force to vary")
+    if output is not None:
+        output = common.output_directory(output)
+    if _needs_kernels(model):
+        common.warm_up()
+    outcomes: list[Record] = []
+    first: ModelRun | None = None
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns: list[Any] = [
+        SpinnerColumn(),
+        TextColumn("{task.description} {task.fields[state]}"),
+        TimeElapsedColumn(),
+    ]
+    with common.progress(*columns) as bars:
+        task = bars.add_task(f"{scenario.name}, {model}", total=None, state="")
+        for member in range(members):
+
+            def show(t: float, derailed: int, member: int = member) -> None:
+                of = f"run {member + 1} of {members}: " if members > 1 else ""
+                bars.update(task, state=f"{of}{t:.1f} s, {derailed} cars derailed")
+
+            began = time.perf_counter()
+            try:
+                done = run_model(
+                    model, vary(params, member_factor(seed, member)), roll=roll, progress=show
+                )
+            except (ModelError, ParameterError) as error:
+                raise CommandFailure(f"{scenario.name}: {error}") from None
+            except SimulationError as error:
+                text = " ".join(str(error).split())
+                outcomes.append(failed_record(text, time.perf_counter() - began))
+                continue
+            outcomes.append(done.record)
+            if member == 0:
+                first = done
+    moments = Moments()
+    for record in outcomes:
+        moments.add(record)
+    report: Record = {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "seed": seed if ensemble is not None else None,
+        "members": members,
+        "void": moments.void,
+        "failed": moments.failed,
+        "outcomes": outcomes,
+        "mean": moments.mean(),
+        "sd": moments.sd(),
+        "model": model,
+        "notes": {} if first is None else first.notes,
+    }
+    if output is not None:
+        _write(output, scenario, settings, report, first)
+    if as_json:
+        common.print_json(report)
+    else:
+        _print(report, output)
+    for i, record in enumerate(outcomes):
+        if "error" in record:
+            note(f"derail: member {i} failed: {record['error']}")
+            break
+    return FAILED if moments.failed == members else OK
+
+
+def _write(
+    output: Path,
+    scenario: Scenario,
+    settings: Sequence[str],
+    report: Record,
+    first: ModelRun | None,
+) -> None:
+    import dataclasses
+
+    from derail_ros.commands.simulate import write_csv
+    from derail_ros.recording.manifest import software_versions
+
+    common.write_json(output / "outcomes.json", report)
+    if report["members"] > 1:
+        write_csv(output / "outcomes.csv", report["outcomes"])
+    if first is not None and first.scene is not None:
+        from derail_ros.review import figures
+
+        scene = dataclasses.replace(
+            first.scene, title=scenario.title, subtitle=f"model: {report['model']}"
+        )
+        figures.save(figures.final_scene(scene), output / "final_scene.png")
+    common.write_json(
+        output / "manifest.json",
+        {
+            "format": "derail_ros/results",
+            "version": 1,
+            "command": "simulate",
+            "model": report["model"],
+            "scenario": scenario.resolved(),
+            "scenario_name": scenario.name,
+            "scenario_hash": scenario.hash,
+            "settings": list(settings),
+            "ensemble": report["members"],
+            "seed": report["seed"],
+            "software": software_versions(),
+            "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
+        },
+    )
+
+
+def _print(report: Record, output: Path | None) -> None:
+    from rich.markup import escape
+
+    from derail_ros.baselines.models import MODELS
+    from derail_ros.commands.simulate import _many, _one
+
+    console = common.out()
+    console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
+    console.print(f"model {report['model']}: {MODELS[report['model']]}")
+    outcomes = report["outcomes"]
+    console.print(_one(outcomes[0]) if report["members"] == 1 else _many(report))
+    for key, value in report["notes"].items():
+        if value is None or (isinstance(value, list) and len(value) > 2):
+            continue
+        console.print(f"{key.replace('_', ' ')}: {value}")
+    rolls = report["notes"].get("roll_deg")
+    if rolls is not None:
+        rolled = [f"{i + 1} ({r:.0f})" for i, r in enumerate(rolls) if r]
+        console.print("roll estimate (degrees), cars: " + (", ".join(rolled) or "none"))
+    if output is not None:
+        console.print(f"results in {escape(str(output))}", soft_wrap=True)
+
+
+def compare_models(
+    name_or_file: str,
+    settings: Sequence[str],
+    models: Sequence[str],
+    as_json: bool,
+    output: Path | None,
+) -> int:
+    """All models on one scenario, as a table and a figure."""
+    from derail_ros.baselines import comparison
+    from derail_ros.baselines.models import MODELS
+
+    chosen = list(models) or list(MODELS)
+    for name in chosen:
+        _check_model(name)
+    scenario = common.load(name_or_file, settings)
+    params = scenario.to_params()
+    if output is not None:
+        output = common.output_directory(output)
+    if any(_needs_kernels(name) for name in chosen):
+        common.warm_up()
+        if "anderson" in chosen:  # its wall time shall not hold its compilation
+            from derail_ros.baselines.anderson import AndersonModel
+
+            AndersonModel(params).advance_to(0.01)
+    entries = comparison.compare(params, chosen)
+    report = {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "models": {
+            e.model: {"error": e.error}
+            if e.run is None
+            else {"outcome": e.run.record, "notes": e.run.notes}
+            for e in entries
+        },
+    }
+    if output is not None:
+        from derail_ros.review import figures
+
+        common.write_json(output / "comparison.json", report)
+        (output / "comparison.md").write_text(comparison.markdown(entries), encoding="utf-8")
+        page = comparison.figure(scenario.title, entries)
+        figures.save(page, output / "comparison.png", dpi=110)
+    if as_json:
+        common.print_json(report)
+    else:
+        from rich.markup import escape
+        from rich.table import Table
+
+        console = common.out()
+        console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(scenario.title)}")
+        table = Table(box=None, pad_edge=False)
+        table.add_column("model")
+        for heading, *_ in comparison.MEASURES:
+            table.add_column(heading, justify="right")
+        table.add_column("")
+        for row in comparison.rows(entries):
+            table.add_row(*(escape(text) for text in row))
+        console.print(table)
+        if output is not None:
+            console.print(f"results in {escape(str(output))}", soft_wrap=True)
+    return OK if any(e.run is not None for e in entries) else FAILED
+
+
+def joint_velocities(
+    scenario: str | None,
+    settings: Sequence[str],
+    cars: int,
+    train_mass: float,
+    length: float,
+    impulse: float,
+    as_json: bool,
+) -> int:
+    """Joint velocities of a train at rest after a blow across its head."""
+    import numpy as np
+
+    from derail_ros.baselines.joints import joint_velocities as solve
+    from derail_ros.studies.records import number
+
+    inertia = None
+    if scenario is None:
+        if settings:
+            raise CommandFailure("--set: only with a scenario")
+        if cars < 1:
+            raise CommandFailure("--cars: must be at least 1")
+        name = f"{cars} equal bars"
+        mass = np.full(cars, train_mass / cars)
+        lengths = np.full(cars, length)
+    else:
+        from derail_ros.baselines.train import take_apart
+
+        loaded = common.load(scenario, settings)
+        name = loaded.title
+        bodies = take_apart(loaded.to_params().cars)
+        mass = np.array([c.mass for c in bodies])
+        lengths = np.array(
+            [2.0 * c.pivot_distance + c.front.length + c.rear.length for c in bodies]
+        )
+        inertia = np.array([c.inertia for c in bodies])
+    try:
+        answer = solve(mass, lengths, inertia=inertia, impulse=impulse)
+    except ValueError as error:
+        raise CommandFailure(str(error)) from None
+    bars = [
+        {
+            "bar": i + 1,
+            "mass_kg": number(mass[i]),
+            "length_m": number(lengths[i]),
+            "front_joint_m_per_s": number(answer.joint[i]),
+            "front_joint_relative": number(answer.relative[i]),
+            "centre_m_per_s": number(answer.centre[i]),
+            "yaw_rate_rad_per_s": number(answer.yaw_rate[i]),
+        }
+        for i in range(len(mass))
+    ]
+    if as_json:
+        common.print_json(
+            {
+                "train": name,
+                "impulse_N_s": impulse,
+                "bars": bars,
+                "tail_m_per_s": number(answer.joint[-1]),
+                "tail_relative": number(answer.relative[-1]),
+                "energy_J": number(answer.energy),
+            }
+        )
+        return OK
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = common.out()
+    console.print(f"[bold]{escape(name)}[/bold], {mass.sum() * 1e-3:.0f} t at rest")
+    console.print(f"transverse impulse of {impulse:g} N s on the head of the first")
+    table = Table(box=None, pad_edge=False)
+    headings = ("joint ahead of bar", "mass (t)", "velocity (m/s)", "relative to the head",
+                "yaw rate of the bar (rad/s)")  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    shown = [b for b in bars if b["bar"] <= 12]
+    for bar in shown:
+        table.add_row(
+            str(bar["bar"]),
+            f"{bar['mass_kg'] * 1e-3:.1f}",
+            f"{bar['front_joint_m_per_s']:.4g}",
+            f"{bar['front_joint_relative']:.4g}",
+            f"{bar['yaw_rate_rad_per_s']:.4g}",
+        )
+    if len(shown) == len(bars):
+        table.add_row("tail", "", f"{answer.joint[-1]:.4g}", f"{answer.relative[-1]:.4g}", "")
+    console.print(table)
+    if len(shown) < len(bars):
+        console.print(f"and {len(bars) - len(shown)} more; --json gives all")
+    return OK
