@@ -153,6 +153,9 @@ def compare_models(
     models: Annotated[
         list[str] | None, typer.Option("--model", "-m", help="Only these; all by default.")
     ] = None,
+    speeds: Annotated[
+        str | None, typer.Option(help="At these speeds, km/h, e.g. 30,48,60,72,90.")
+    ] = None,
     as_json: Json = False,
     output: Annotated[
         Path | None,
@@ -162,7 +165,7 @@ def compare_models(
     """Put this model and those before it to work on one train."""
     from derail_ros.commands import models as command
 
-    return command.compare_models(scenario, settings or [], models or [], as_json, output)
+    return command.compare_models(scenario, settings or [], models or [], speeds, as_json, output)
 
 
 @app.command("joint-velocities")

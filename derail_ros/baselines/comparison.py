@@ -248,3 +248,97 @@ def _figure(title: str, entries: Sequence[Entry]) -> Figure:
         va="center",
     )
     return page
+
+
+# Over the speed -------------------------------------------------------------------------------
+
+
+def by_speed_markdown(speeds: Sequence[float], runs: Sequence[Sequence[Entry]]) -> str:
+    """Cars derailed and duration of each model (rows) at each speed (columns, km/h)."""
+    heads = [f"{v:g} km/h" for v in speeds]
+    lines = [
+        "| model | " + " | ".join(heads) + " |",
+        "|---|" + "---:|" * len(speeds),
+    ]
+    for row in by_speed_rows(runs):
+        lines.append(f"| `{row[0]}` | " + " | ".join(row[1:]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def by_speed_rows(runs: Sequence[Sequence[Entry]]) -> list[list[str]]:
+    """One row of texts a model: name, then ``cars, duration s`` at each speed."""
+    out = []
+    for k, entry in enumerate(runs[0]):
+        texts = [entry.model]
+        for entries in runs:
+            record = entries[k].record
+            cars = cell(record, "cars_derailed", 1.0, 1)
+            texts.append(f"{cars}, {cell(record, 'duration_s', 1.0, 1)} s")
+        out.append(texts)
+    return out
+
+
+LINES: dict[str, tuple[str, str, str]] = {
+    "toma": ("#0072b2", "-", "o"),
+    "yang-manos": ("#e69f00", "-", "s"),
+    "anderson": ("#009e73", "-", "^"),
+    "roorda-gracie": ("#cc79a7", "-", "D"),
+    "blockage": ("#222222", "--", "v"),
+    "bar-1": ("#8a8a8a", ":", "x"),
+    "bar-2": ("#8a8a8a", "--", "+"),
+    "bar-2-corrected": ("#8a8a8a", "-.", "1"),
+    "bar-3": ("#d55e00", "--", "2"),
+    "bar-3-corrected": ("#d55e00", ":", "3"),
+}
+"""Colour, line and mark of each model."""
+
+
+def by_speed_figure(
+    title: str, speeds: Sequence[float], runs: Sequence[Sequence[Entry]]
+) -> Figure:
+    """Cars derailed over the speed, one line a model, named at its end."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from derail_ros.review.figures import INK, STYLE
+
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(9.0, 5.2), facecolor="white")
+        FigureCanvasAgg(page)
+        axes = page.add_axes((0.07, 0.11, 0.73, 0.78))
+        ends = []
+        for k, entry in enumerate(runs[0]):
+            found = [
+                (v, float(entries[k].record["cars_derailed"]))  # type: ignore[index]
+                for v, entries in zip(speeds, runs, strict=True)
+                if entries[k].record is not None
+            ]
+            if not found:
+                continue
+            colour, line, mark = LINES[entry.model]
+            axes.plot(
+                *zip(*found, strict=True), color=colour, ls=line, marker=mark, ms=6,
+                lw=2.2 if entry.model == "toma" else 1.4,
+            )  # fmt: skip
+            ends.append([found[-1][1], found[-1][0], entry.model, colour])
+        low, high = axes.get_ylim()
+        axes.set_ylim(0.0, high)
+        # Names at the ends of the lines, moved apart where they would lie on each other.
+        room = 0.042 * high
+        at = -room
+        for end in sorted(ends, key=lambda e: e[0]):
+            at = max(end[0], at + room)
+            axes.annotate(
+                end[2], (end[1], end[0]), (max(speeds) * 1.035, at), color=end[3], size=9,
+                va="center", annotation_clip=False,
+                arrowprops={"arrowstyle": "-", "color": end[3], "lw": 0.6, "shrinkB": 4},
+            )  # fmt: skip
+        axes.set_xlabel("speed, km/h")
+        axes.set_ylabel("cars derailed")
+        axes.grid(color="#ececec", lw=0.8)
+        axes.set_axisbelow(True)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        page.text(0.07, 0.94, title, size=12, weight="bold", color=INK)
+    return page

@@ -180,14 +180,26 @@ def _print(report: Record, output: Path | None) -> None:
         console.print(f"results in {escape(str(output))}", soft_wrap=True)
 
 
+def parse_speeds(text: str) -> list[float]:
+    """``30,48,60`` as speeds, km/h."""
+    try:
+        speeds = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise CommandFailure(f"--speeds: must be like 30,48,60, not {text!r}") from None
+    if not all(0.0 < v < 720.0 for v in speeds) or speeds != sorted(set(speeds)):
+        raise CommandFailure("--speeds: must be positive and rise")
+    return speeds
+
+
 def compare_models(
     name_or_file: str,
     settings: Sequence[str],
     models: Sequence[str],
+    speeds: str | None,
     as_json: bool,
     output: Path | None,
 ) -> int:
-    """All models on one scenario, as a table and a figure."""
+    """All models on one scenario, as a table and a figure; at several speeds if asked."""
     from derail_ros.baselines import comparison
     from derail_ros.baselines.models import MODELS
 
@@ -195,7 +207,7 @@ def compare_models(
     for name in chosen:
         _check_model(name)
     scenario = common.load(name_or_file, settings)
-    params = scenario.to_params()
+    series = None if speeds is None else parse_speeds(speeds)
     if output is not None:
         output = common.output_directory(output)
     if any(_needs_kernels(name) for name in chosen):
@@ -203,45 +215,86 @@ def compare_models(
         if "anderson" in chosen:  # its wall time shall not hold its compilation
             from derail_ros.baselines.anderson import AndersonModel
 
-            AndersonModel(params).advance_to(0.01)
-    entries = comparison.compare(params, chosen)
-    report = {
-        "scenario": scenario.name,
-        "title": scenario.title,
-        "hash": scenario.hash,
-        "models": {
+            AndersonModel(scenario.to_params()).advance_to(0.01)
+    trains = (
+        [scenario]
+        if series is None
+        else [scenario.with_overrides({"train.speed_kmh": v}) for v in series]
+    )
+    runs = [comparison.compare(train.to_params(), chosen) for train in trains]
+    title = scenario.title
+    if settings:
+        title += f" ({', '.join(settings)})"
+    answers = [
+        {
             e.model: {"error": e.error}
             if e.run is None
             else {"outcome": e.run.record, "notes": e.run.notes}
             for e in entries
-        },
+        }
+        for entries in runs
+    ]
+    report: dict[str, Any] = {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "settings": list(settings),
     }
+    if series is None:
+        report["models"] = answers[0]
+        table = comparison.markdown(runs[0])
+    else:
+        report["speeds_kmh"] = series
+        report["models_by_speed"] = answers
+        table = comparison.by_speed_markdown(series, runs)
     if output is not None:
         from derail_ros.review import figures
 
         common.write_json(output / "comparison.json", report)
-        (output / "comparison.md").write_text(comparison.markdown(entries), encoding="utf-8")
-        page = comparison.figure(scenario.title, entries)
-        figures.save(page, output / "comparison.png", dpi=110)
+        (output / "comparison.md").write_text(table, encoding="utf-8")
+        if series is None:
+            page = comparison.figure(title, runs[0])
+        else:
+            page = comparison.by_speed_figure(
+                f"{scenario.name}: cars derailed over the speed", series, runs
+            )
+        figures.save(page, output / "comparison.png", dpi=80)
     if as_json:
         common.print_json(report)
     else:
-        from rich.markup import escape
-        from rich.table import Table
+        _print_comparison(scenario, title, series, runs)
+        if output is not None:
+            note(f"results in {output}")
+    return OK if any(e.run is not None for entries in runs for e in entries) else FAILED
 
-        console = common.out()
-        console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(scenario.title)}")
-        table = Table(box=None, pad_edge=False)
-        table.add_column("model")
+
+def _print_comparison(
+    scenario: Scenario,
+    title: str,
+    series: Sequence[float] | None,
+    runs: Sequence[Sequence[Any]],
+) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from derail_ros.baselines import comparison
+
+    console = common.out()
+    console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(title)}")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("model")
+    if series is None:
         for heading, *_ in comparison.MEASURES:
             table.add_column(heading, justify="right")
         table.add_column("")
-        for row in comparison.rows(entries):
-            table.add_row(*(escape(text) for text in row))
-        console.print(table)
-        if output is not None:
-            console.print(f"results in {escape(str(output))}", soft_wrap=True)
-    return OK if any(e.run is not None for e in entries) else FAILED
+        lines = comparison.rows(runs[0])
+    else:
+        for v in series:
+            table.add_column(f"{v:g} km/h", justify="right")
+        lines = comparison.by_speed_rows(runs)
+    for line in lines:
+        table.add_row(*(escape(text) for text in line))
+    console.print(table)
 
 
 def joint_velocities(

@@ -102,6 +102,20 @@ def test_compare_models(derail, tmp_path):
     assert "toma" not in table.out
 
 
+def test_compare_models_over_the_speed(derail, tmp_path):
+    few = ("-m", "yang-manos", "-m", "bar-2", "-m", "blockage", "--speeds", "30,60")
+    answer = derail("compare-models", "base_train", *few, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0
+    assert answer.json["speeds_kmh"] == [30.0, 60.0]
+    slow, fast = answer.json["models_by_speed"]
+    for name in slow:
+        derailed = [m[name]["outcome"]["cars_derailed"] for m in (slow, fast)]
+        assert derailed[0] < derailed[1]
+    assert (tmp_path / "out" / "comparison.png").stat().st_size > 1000
+    for wrong in ("x", "60,30", "-1"):
+        assert derail("compare-models", "base_train", f"--speeds={wrong}").code == 2
+
+
 def test_a_model_that_cannot_is_an_entry_with_the_reason():
     params = load_scenario("curve_derailment").to_params()
     entries = compare(params, ["yang-manos", "blockage"])
