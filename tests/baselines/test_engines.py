@@ -123,8 +123,8 @@ def test_no_coupling_parts_and_the_end_is_a_zigzag():
     assert abs(run.record["energy_residual"]) < 1e-4
 
 
-def test_above_96_kmh_half_the_train_and_more_derails():
-    # Accident statistics quoted in the source grow with speed less than in proportion.
+def test_far_too_many_cars_derail_above_96_kmh():
+    # "far too many" in the source; brakes as in the scenario, which count against it
     counts = {
         v: run_model("yang-manos", params("yang_manos_base", speed=v)).record["cars_derailed"]
         for v in (48, 96, 120)
