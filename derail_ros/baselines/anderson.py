@@ -46,9 +46,9 @@ from derail_ros.engine.laws.coupling_spring import coupling_energy, coupling_for
 from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
+from derail_ros.engine.methods import RKF45
 from derail_ros.engine.outcome import car_corners, scene_box
 from derail_ros.engine.params import GRAVITY, TrainParams
-from derail_ros.engine.rkf45 import RKF_A, RKF_B, RKF_C, RKF_E
 from derail_ros.engine.simulation import Simulation
 from derail_ros.engine.solver import (
     acceleration_gamma,
@@ -115,6 +115,10 @@ S_K, S_C, S_LIMIT, S_MU, S_E, S_HMAX, N_S = 0, 1, 2, 3, 4, 5, 6
 # approach speed, other car, time
 O_FREE_T, O_FREE_V, O_HIT_V, O_HIT_OTHER, O_HIT_T, N_O = 0, 1, 2, 3, 4, 5
 
+# Fehlberg's 4(5): slopes of the stages, weights, error, times
+RKF = np.array(RKF45)
+RKF_B, RKF_E, RKF_C = 12, 13, 14
+
 DONE, NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = 0, -1, -2, -3, -4
 _ERRORS = {
     NON_FINITE: (NonFiniteStateError, "the state is no longer finite"),
@@ -155,8 +159,9 @@ def applied_forces(
     t_on = state.clock[L.T_ON]
     wk = work.wk
     force = work.force
-    angles(q, wk)
-    work.power[:] = 0.0
+    angles(q, wk, work.ang)
+    for k in range(L.N_POWER):
+        work.power[k] = 0.0
     for i in range(n):
         fx = 0.0
         fy = 0.0
@@ -167,7 +172,10 @@ def applied_forces(
         trucks = int(state.truck_on[i, 0]) + int(state.truck_on[i, 1])
         if trucks > 0:
             speed = math.sqrt(vx * vx + vy * vy)
-            f = brake_force(model, state.arrival, i, t, t_on, speed) * (0.5 * trucks)
+            f = brake_force(
+                model.par[L.BRAKE_RISE], model.unit, model.unit_start[i],
+                model.unit_start[i + 1], state.arrival, t, t_on, speed,
+            ) * (0.5 * trucks)  # fmt: skip
             f *= smooth_direction(speed, eps)
             fx -= f * vx
             fy -= f * vy
@@ -234,11 +242,13 @@ def rates(
     """Accelerations of the cars under their truck constraints; False when singular."""
     keep_separate()
     applied_forces(model, state, work, own, linked, t, q, v)
-    truck_rows(model, state, state.truck_on, q, work.wk)
-    ok = factor(model, state.truck_on, none, work.wk)
-    acceleration_gamma(model, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c)
+    truck_rows(model.car, model.track, state.truck_s, state.truck_on, q, work.wk)
+    ok = factor(model.car, state.truck_on, none, work.wk)
+    acceleration_gamma(
+        model.par, model.car, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c
+    )
     solve(
-        model, state.truck_on, none, work.wk, work.force, work.gamma_t, work.gamma_c, out,
+        model.car, state.truck_on, none, work.wk, work.force, work.gamma_t, work.gamma_c, out,
         work.lam_t, work.lam_c,
     )  # fmt: skip
     state.cnt[L.EVALS] += 1
@@ -247,11 +257,11 @@ def rates(
 
 @jit
 def stored_energy(
-    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: F64
+    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: F64, ang: F64
 ) -> tuple[float, float]:
     """Kinetic energy of the cars and energy of the springs, J."""
     keep_separate()
-    angles(q, wk)
+    angles(q, wk, ang)
     kinetic = 0.0
     spring = 0.0
     for i in range(q.shape[0]):
@@ -326,14 +336,12 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
             closing = (v[i, 0] - v[j, 0]) * nx + (v[i, 1] - v[j, 1]) * ny
             if closing <= 0.0:
                 continue
-            a = wk[i]
-            b = wk[j]
-            ax = a[L.W_W] * nx + a[L.W_W + 1] * ny
-            ay = a[L.W_W + 1] * nx + a[L.W_W + 3] * ny
-            at = a[L.W_W + 2] * nx + a[L.W_W + 4] * ny
-            bx = b[L.W_W] * nx + b[L.W_W + 1] * ny
-            by = b[L.W_W + 1] * nx + b[L.W_W + 3] * ny
-            bt = b[L.W_W + 2] * nx + b[L.W_W + 4] * ny
+            ax = wk[i, L.W_W] * nx + wk[i, L.W_W + 1] * ny
+            ay = wk[i, L.W_W + 1] * nx + wk[i, L.W_W + 3] * ny
+            at = wk[i, L.W_W + 2] * nx + wk[i, L.W_W + 4] * ny
+            bx = wk[j, L.W_W] * nx + wk[j, L.W_W + 1] * ny
+            by = wk[j, L.W_W + 1] * nx + wk[j, L.W_W + 3] * ny
+            bt = wk[j, L.W_W + 2] * nx + wk[j, L.W_W + 4] * ny
             w_a = ax * nx + ay * ny
             w_b = bx * nx + by * ny
             p = collision_impulse(closing, w_a, w_b, own[S_E])
@@ -419,13 +427,22 @@ def advance(
                         dq = 0.0
                         dv = 0.0
                         for r in range(s):
-                            dq += RKF_A[s, r] * work.kq[r, i, k]
-                            dv += RKF_A[s, r] * work.kv[r, i, k]
+                            dq += RKF[s, r] * work.kq[r, i, k]
+                            dv += RKF[s, r] * work.kv[r, i, k]
                         q1[i, k] = state.q[i, k] + h * dq
                         v1[i, k] = state.v[i, k] + h * dv
                         work.kq[s, i, k] = v1[i, k]
                 if not rates(
-                    model, state, work, own, linked, none, t + RKF_C[s] * h, q1, v1, work.kv[s]
+                    model,
+                    state,
+                    work,
+                    own,
+                    linked,
+                    none,
+                    t + RKF[RKF_C, s] * h,
+                    q1,
+                    v1,
+                    work.kv[s],
                 ):
                     return SINGULAR
                 for k in range(L.N_POWER):
@@ -439,10 +456,10 @@ def advance(
                     eq = 0.0
                     ev = 0.0
                     for s in range(6):
-                        dq += RKF_B[s] * work.kq[s, i, k]
-                        dv += RKF_B[s] * work.kv[s, i, k]
-                        eq += RKF_E[s] * work.kq[s, i, k]
-                        ev += RKF_E[s] * work.kv[s, i, k]
+                        dq += RKF[RKF_B, s] * work.kq[s, i, k]
+                        dv += RKF[RKF_B, s] * work.kv[s, i, k]
+                        eq += RKF[RKF_E, s] * work.kq[s, i, k]
+                        ev += RKF[RKF_E, s] * work.kv[s, i, k]
                     q1[i, k] = state.q[i, k] + h * dq
                     v1[i, k] = state.v[i, k] + h * dv
                     arm = model.car[i, L.GYRATION] if k == 2 else 1.0
@@ -467,9 +484,9 @@ def advance(
         for k in range(L.N_POWER):
             total = 0.0
             for s in range(6):
-                total += RKF_B[s] * work.kp[s, k]
+                total += RKF[RKF_B, s] * work.kp[s, k]
             state.energy[k] += h * total
-        before, spring = stored_energy(model, own, linked, q1, v1, work.wk)
+        before, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
         before += spring
         for i in range(n):
             for k in range(3):
@@ -478,13 +495,15 @@ def advance(
         if not project_positions(model, state, work, state.truck_on, none, q1):
             return SINGULAR
         project_velocities(model, work, state.truck_on, none, v1)
-        after, spring = stored_energy(model, own, linked, q1, v1, work.wk)
+        after, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
         state.energy[L.E_STAB_NET] += after + spring - before
         state.energy[L.E_STAB_GROSS] += abs(after + spring - before)
         clock[L.T_PREV] = t
         clock[L.T] = switch if reaches else t + h
-        state.q[:] = q1
-        state.v[:] = v1
+        for i in range(n):
+            for k in range(5):
+                state.q[i, k] = q1[i, k]
+                state.v[i, k] = v1[i, k]
         cnt[L.STEP] += 1
         clock[L.H_NEXT] = min(max(h * grow, floor), own[S_HMAX])
 
@@ -524,8 +543,8 @@ def advance(
                     moved = True
         if moved:
             # the mobilities of the impulses are those of the trucks that are left
-            truck_rows(model, state, state.truck_on, state.q, work.wk)
-            if not factor(model, state.truck_on, none, work.wk):
+            truck_rows(model.car, model.track, state.truck_s, state.truck_on, state.q, work.wk)
+            if not factor(model.car, state.truck_on, none, work.wk):
                 return SINGULAR
         for i in range(n - 1):
             if linked[i] == 0:
@@ -612,7 +631,9 @@ class AndersonModel:
 
     def _stored(self) -> tuple[float, float]:
         s = self._state
-        return stored_energy(self._model, self._own, self._linked, s.q, s.v, self._work.wk)
+        return stored_energy(
+            self._model, self._own, self._linked, s.q, s.v, self._work.wk, self._work.ang
+        )
 
     @property
     def time(self) -> float:
