@@ -338,4 +338,6 @@ class TrainParams:
     contact: ContactParams = field(default_factory=ContactParams)
     derailment: DerailmentParams = field(default_factory=DerailmentParams)
     integration: IntegrationParams = field(default_factory=IntegrationParams)
-    variant: VariantParams = field(default_factory=VariantParams)
+    variant: VariantParams = field(
+        default_factory=VariantParams, metadata={"left_out_at_default": True}
+    )

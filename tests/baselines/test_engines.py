@@ -302,3 +302,20 @@ def test_free_speeds_are_those_at_the_parting():
 def test_unknown_model():
     with pytest.raises(ModelError, match="unknown model"):
         run_model("bar-9", params(cars=3))
+
+
+def test_states_of_a_variant_go_on_to_the_bit():
+    run = Simulation(configure(params(speed=40.0, cars=8)))
+    run.advance_to(3.0)
+    again = Simulation.from_bytes(run.to_bytes())
+    assert again.params == run.params
+    assert again.params.variant.whole_car
+    run.advance_to(6.0)
+    again.advance_to(6.0)
+    assert again.state_hash() == run.state_hash()
+
+
+def test_states_without_a_variant_do_not_name_it():
+    run = Simulation(params(cars=3))
+    assert b'"variant"' not in run.to_bytes()
+    assert Simulation.from_bytes(run.to_bytes()).params.variant == VariantParams()
