@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.engine.params import TrainParams
-from msg_adapters.common import NANOSECONDS, RunContext
+from msg_adapters.common import (
+    NANOSECONDS,
+    SENTINEL,
+    SENTINEL_SECONDS,
+    RunContext,
+    SentinelContext,
+)
 from msg_adapters.definitions import message_class, serialize, typestore
 from msg_adapters.state import quaternions
 
@@ -52,16 +58,8 @@ FORCE_SHOWN = 1.0e4
 GAUGE = 1.435
 BED_WIDTH = 4.0
 
-_SENTINEL = 1.2345678912345e200
-_ACTION, _SECONDS = 0x7A5C3E11, 0x7A5C3E12
-"""Mark, in a new layout, the places that are renewed; no string or number looks like them."""
-
-
-class _SentinelContext(RunContext):
-    """Marks the time stamps of a new layout."""
-
-    def stamp(self, time: float) -> int:
-        return _SECONDS * NANOSECONDS
+_ACTION = 0x7A5C3E11
+"""Marks, in a new layout, the actions that are renewed."""
 
 
 def _marker(
@@ -149,8 +147,8 @@ def _piece(marker: Any, phase: int) -> _Piece:
 
     return _Piece(
         bytes(data[phase:end]),
-        places(doubles == _SENTINEL, 8),
-        places(words == _SECONDS, 4),
+        places(doubles == SENTINEL, 8),
+        places(words == SENTINEL_SECONDS, 4),
         places(words == _ACTION, 4),
     )
 
@@ -185,8 +183,8 @@ class MarkerEncoder:
 
     def _make(self, what: str, number: int, detail: Any) -> Any:
         """A marker with marks where its changing parts will be."""
-        mark = (_SENTINEL, 0.0, 0.0)
-        context = _SentinelContext("", 0, self.context.frame_id)
+        mark = (SENTINEL, 0.0, 0.0)
+        context = SentinelContext("", 0, self.context.frame_id)
         if what == "clear":
             return _marker(context, 0.0, "", 0, CUBE, action=DELETE_ALL)
         if what == "cars":

@@ -101,6 +101,17 @@ MANIFEST = Topic("manifest", "std_msgs/msg/String", 1, True, "first and last in 
 """Topic of a recording, not of the node: where it comes from, as JSON."""
 
 
+TRANSFORMS = Topic(
+    "/tf",
+    "tf2_msgs/msg/TFMessage",
+    100,
+    False,
+    f"{STATE_RATE}; with `publish_tf`, where tf2_msgs is installed",
+    recorded=False,
+)
+"""Frames of the cars; not in the table above, for tf2_msgs is not everywhere."""
+
+
 def bag_qos(topic: Topic) -> Qos:
     """What a recording says of the topic's quality of service, so that a player latches it."""
     unlimited = QosTime(2147483647, 4294967295)

@@ -25,6 +25,7 @@ from derail_ros.scenario import ScenarioError, load_scenario_by_name, loads_scen
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
+from msg_adapters.topics import TRANSFORMS
 
 SLICE = 0.008
 """Wall time of physics after which requests get their turn, s."""
@@ -67,6 +68,7 @@ class Settings:
     state_rate: float = 50.0
     marker_rate: float = 15.0
     publish_clock: bool = True
+    publish_tf: bool = False
     clock_rate: float = 100.0
     allow_quit: bool = False
     frame_id: str = "map"
@@ -224,6 +226,9 @@ class SimulatorCore:
     def _emit(self, topic: str, stamp: int, data: bytes) -> None:
         self.output.publish(topic, data)
         self._record(topic, stamp, data)
+
+    def _publish_transforms(self, data: bytes) -> None:
+        self.output.publish(TRANSFORMS.name, data)
 
     def _record(self, topic: str, stamp: int, data: bytes) -> None:
         if self.recorder is None:
@@ -425,6 +430,7 @@ class SimulatorCore:
             kind=kind,
             rates=Rates(settings.state_rate, settings.marker_rate if recording else 0.0),
             record_markers=self._record if recording else None,
+            live_transforms=self._publish_transforms if settings.publish_tf else None,
         )
         if not self.error.startswith("recording"):
             self.error = ""

@@ -132,6 +132,12 @@ SIMULATOR = (
         read_only=True,
     ),
     Parameter(
+        "publish_tf",
+        False,
+        "publish the frames `car_1`, `car_2`, ... on `/tf` at each tick; needs tf2_msgs",
+        read_only=True,
+    ),
+    Parameter(
         "clock_rate",
         100.0,
         "clock messages per second of wall time",

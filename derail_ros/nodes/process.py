@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -79,7 +80,9 @@ def run_node(
         print(f"error: {error}", file=sys.stderr)
         return 1
     finally:
-        # Whatever happened, nothing of DDS stays behind in shared memory.
+        # Whatever happened, nothing of DDS stays behind in shared memory. What the node held is
+        # let go while the interpreter is whole, not when it is half taken down.
+        gc.collect()
         rclpy = sys.modules.get("rclpy")
         if rclpy is not None:
             rclpy.try_shutdown()

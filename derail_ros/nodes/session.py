@@ -28,7 +28,7 @@ from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
 from msg_adapters.markers import MarkerEncoder, track_markers
-from msg_adapters.state import StateEncoder
+from msg_adapters.state import StateEncoder, TransformEncoder
 
 Emit = Callable[[str, int, bytes], None]
 """Takes a topic's name, the moment in simulation time (ns) and the message's bytes."""
@@ -121,6 +121,8 @@ class Session:
         Ticks a second and markers a second.
     record_markers
         Takes the markers at ``rates.recorded_markers`` of simulation time.
+    live_transforms
+        Takes `/tf` at each tick.
     simulation
         What to run instead of a copy of ``prepared.simulation``.
     """
@@ -135,6 +137,7 @@ class Session:
         kind: EventKind = EventKind.RUN_LOADED,
         rates: Rates | None = None,
         record_markers: Emit | None = None,
+        live_transforms: Callable[[bytes], None] | None = None,
         simulation: Any = None,
     ) -> None:
         self.prepared = prepared
@@ -155,6 +158,8 @@ class Session:
         self._markers_recorded = 0
         self._encoder = StateEncoder(self.params, self.context)
         self._markers = MarkerEncoder(self.params, self.context)
+        self._live_transforms = live_transforms
+        self._transforms = TransformEncoder(len(self.params.cars), self.context)
         self._done = _Published()
         self._log_stamp = base
         self._breaks: list[tuple[float, float]] = []
@@ -285,6 +290,8 @@ class Session:
         stamp = self.context.stamp(sample.time)
         for topic, data in self._encoder.encode(sample):
             self._out(topic, data, stamp)
+        if self._live_transforms is not None:
+            self._live_transforms(self._transforms(sample))
         if self._record_markers is not None and self.rates.recorded_markers > 0.0:
             due = self._markers_recorded / self.rates.recorded_markers
             if sample.time + GRAIN >= due:

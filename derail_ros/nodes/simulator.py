@@ -24,6 +24,7 @@ from msg_adapters.common import NANOSECONDS
 from msg_adapters.topics import (
     STATE_TOPICS,
     TOPICS,
+    TRANSFORMS,
     Topic,
     check_interfaces,
     rclpy_class,
@@ -32,8 +33,11 @@ from msg_adapters.topics import (
 
 CLOCK_GRACE = 0.6
 """Wall time in which another publisher of the clock may show itself, s."""
-CLOCK_PROBATION = 5.0
+CLOCK_PROBATION = 30.0
 """Wall time in which one of two that began together gives way, s."""
+PER_RUN = ("events", "collisions", "outcome")
+"""Topics that begin anew with each run. The outcome is among them because its depth is 1: the last
+one of a run that a command ends would be overwritten by the first one of the next run."""
 MATCH_WAIT = 1.0
 """Wall time for which a new run's first events wait for their subscribers, s."""
 LISTENERS_WAIT = 10.0
@@ -72,6 +76,20 @@ class NodeOutput:
         """Begin to publish the clock."""
         self.channels["/clock"] = _Channel(TOPICS["/clock"], self._publisher(TOPICS["/clock"]))
 
+    def open_transforms(self) -> None:
+        """Publish the frames of the cars.
+
+        Raises
+        ------
+        ValueError
+            If tf2_msgs is not installed.
+        """
+        try:
+            publisher = self._publisher(TRANSFORMS)
+        except ImportError as error:
+            raise ValueError(f"publish_tf: {error}") from error
+        self.channels[TRANSFORMS.name] = _Channel(TRANSFORMS, publisher)
+
     def close_clock(self) -> None:
         """Stop publishing the clock."""
         channel = self.channels.pop("/clock", None)
@@ -90,11 +108,11 @@ class NodeOutput:
             channel.publisher.publish(data)
 
     def begin_run(self) -> None:
-        """Begin events and contacts anew: who comes late gets those of the present run only.
+        """Begin the topics of a run anew: who comes late gets those of the present run only.
 
         The new publisher waits until it has matched as many subscribers as the old one had.
         """
-        for name in ("events", "collisions"):
+        for name in PER_RUN:
             channel = self.channels[name]
             old = channel.publisher
             for data in channel.waiting:
@@ -205,32 +223,35 @@ class LaterService:
 class ClockGuard:
     """Decides whether this node may publish ``/clock``: never as the second one."""
 
-    def __init__(self, node: Any, output: NodeOutput, wanted: bool) -> None:
+    def __init__(self, node: Any, output: Any, wanted: bool) -> None:
         self.node = node
         self.output = output
         self.publishing = False
         self.decided = not wanted
+        self.warned = False
         self.began = time.monotonic()
         self.looked = self.began
 
     def look(self) -> None:
-        """Look around, a few times a second."""
+        """Look around, a few times a second while it matters."""
         now = time.monotonic()
-        if self.decided or now < self.looked + 0.1:
+        young = now < self.began + CLOCK_PROBATION
+        if self.decided or now < self.looked + (0.1 if young else 1.0):
             return
         self.looked = now
         others = self.node.count_publishers("/clock") - int(self.publishing)
-        if others > 0 and (not self.publishing or self._gives_way()):
+        if others > 0 and (not self.publishing or (young and self._gives_way())):
             self.output.close_clock()
             self.publishing, self.decided = False, True
             self.node.get_logger().warning(
                 "another node publishes /clock: this one does not (parameter publish_clock)"
             )
+        elif others > 0 and not young and not self.warned:
+            self.warned = True
+            self.node.get_logger().warning("another node has begun to publish /clock as well")
         elif not self.publishing and now > self.began + CLOCK_GRACE:
             self.output.open_clock()
             self.publishing = True
-        elif now > self.began + CLOCK_PROBATION:
-            self.decided = True
 
     def _gives_way(self) -> bool:
         """Of two that began at the same time the one with the larger identity gives way."""
@@ -268,6 +289,8 @@ def make_node_class() -> Any:
             values = table.declare(self, table.SIMULATOR)
             self.auto_exit = bool(values["auto_exit"])
             self.output = NodeOutput(self)
+            if values["publish_tf"]:
+                self.output.open_transforms()
             self.core = SimulatorCore(self._settings(values), self.output)
             self.guard = ClockGuard(self, self.output, bool(values["publish_clock"]))
             self._wake = wake
@@ -311,6 +334,7 @@ def make_node_class() -> Any:
                 state_rate=values["state_rate"],
                 marker_rate=values["marker_rate"],
                 publish_clock=values["publish_clock"],
+                publish_tf=values["publish_tf"],
                 clock_rate=values["clock_rate"],
                 allow_quit=values["allow_quit"],
                 frame_id=values["frame_id"],
@@ -339,8 +363,10 @@ def make_node_class() -> Any:
 
         def _begin_first(self) -> None:
             """Load the first scenario when those who want to hear it do."""
+            if self._first is None:
+                return
             missing = self.output.listeners(STATE_TOPICS) < self._listeners
-            if self._first is None or (missing and time.monotonic() < self._first_at):
+            if missing and time.monotonic() < self._first_at:
                 return
             if missing:
                 self.get_logger().warning("await_listeners: they did not come")

@@ -20,7 +20,7 @@ from msg_adapters.definitions import (
     serialize,
     typestore,
 )
-from msg_adapters.state import StateEncoder
+from msg_adapters.state import StateEncoder, TransformEncoder
 from msg_adapters.topics import STATE_TOPICS, TOPICS, bag_qos
 from tests.nodes.support import simulation
 
@@ -337,3 +337,19 @@ def test_ros_reads_the_same_from_the_bytes(run: Simulation) -> None:
         message = deserialize_message(data, rclpy_class(kind))
         again = typestore().deserialize_cdr(serialize_message(message), kind)
         assert repr(again) == repr(deserialize(data, kind)), name
+
+
+def test_frames_of_the_cars(run: Simulation) -> None:
+    """tf2_msgs is not among the wheels, so the bytes are read back without ROS."""
+    sample = run.sample()
+    data = TransformEncoder(run.n_cars, CONTEXT)(sample)
+    message = deserialize(data, "tf2_msgs/msg/TFMessage")
+    assert serialize(message) == data
+    for i, one in enumerate(message.transforms):
+        assert (one.header.frame_id, one.child_frame_id) == ("map", f"car_{i + 1}")
+        assert common.stamp_of(one) == CONTEXT.stamp(sample.time)
+        place, turn = one.transform.translation, one.transform.rotation
+        assert (place.x, place.y, place.z) == (sample.q[i, 0], sample.q[i, 1], 0.0)
+        assert (turn.x, turn.y) == (0.0, 0.0)
+        assert turn.z == math.sin(sample.q[i, 2] / 2) and turn.w == math.cos(sample.q[i, 2] / 2)
+    assert len(message.transforms) == run.n_cars

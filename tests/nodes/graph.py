@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from derail_msgs import srv
 from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
 
-LIMIT = 60.0
+LIMIT = 120.0
 """Wall time after which a test gives up waiting, s: generous, for machines that are busy."""
 
 SERVICES = {

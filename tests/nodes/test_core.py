@@ -191,6 +191,16 @@ def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench)
     assert len(bench.heard.of("markers")) == pytest.approx(5, abs=1)
 
 
+def test_frames_come_only_when_asked_for(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.go(0.2)
+    assert not [name for name, _ in bench.heard.raw if name == "/tf"]
+    other = Bench(publish_tf=True)
+    other.load(ENDLESS)
+    other.go(0.2)
+    assert len([name for name, _ in other.heard.raw if name == "/tf"]) == other.ticks() > 5
+
+
 def test_states_are_on_a_grid_of_whole_ticks(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(1.0)

@@ -390,6 +390,7 @@ def test_quitting_when_it_is_allowed(tmp_path) -> None:
         ({"speed_factor": -2.0}, "speed_factor: must be 0 to 1000"),
         ({"state_rate": "often"}, "state_rate: must be of type double"),
         ({"record": "/proc/nowhere/bag"}, "nowhere"),
+        ({"publish_tf": True}, "publish_tf: No module named 'tf2_msgs'"),
     ],
 )
 def test_a_mistake_at_the_start_is_one_clear_line(tmp_path, parameters, reason) -> None:
