@@ -191,6 +191,39 @@ def test_lateral_derailment(limit):
     assert let_go.rail_breaks == []
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_lateral_derailments_are_located(method):
+    # a pile-up pushes trucks off; the quotient is then the limit, unless a constraint that went
+    # just before has thrown its load on the truck at once
+    params = make_train(
+        14,
+        speed=20.0,
+        derailed=((1, "front"), (1, "rear")),
+        breaks=(0.0,),
+        lateral=(LateralForce(),),
+    )
+    params = replace(
+        with_integration(params, method=method), derailment=DerailmentParams(lv_limit=0.6)
+    )
+    run = Simulation(params)
+    run.run()
+    removals = [
+        e for e in run.events if e.kind in (EventKind.TRUCK_DERAILED, EventKind.COUPLER_PARTED)
+    ]
+    alone = 0
+    for before, e in zip(removals, removals[1:]):
+        if e.cause == "lateral force":
+            assert e.value > 0.6
+            if e.step > before.step + 1:
+                alone += 1
+                assert e.value == pytest.approx(0.6, rel=2e-3)
+    assert alone > 3
+    late = Simulation(with_integration(params, locate_crossings=False))
+    late.run()
+    values = [e.value for e in late.events if e.cause == "lateral force"]
+    assert max(values) > 0.61
+
+
 def test_a_lateral_derailment_may_roll_the_rail_over():
     push = LateralForce(force=800e3, car=2, place="front", duration=0.2)
     params = replace(

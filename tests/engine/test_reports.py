@@ -279,6 +279,29 @@ def test_the_outcome_of_a_run(track):
     assert o.energy_initial == pytest.approx(0.5 * 14 * 68e3 * (60 / 3.6) ** 2, rel=1e-3)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_peaks_are_those_within_steps(method):
+    # steps are long against the rise of a contact: its peak lies between their ends
+    run = Simulation(pile_up(method, n=40))
+    peak, when = np.zeros(40), np.zeros(40)
+    while not run.ended:
+        run.advance_steps(1)
+        if run.sample().corner_force.max() < 1e6:
+            continue
+        for share in np.linspace(0.1, 0.95, 7):
+            s = run.sample(run.previous_time + share * run.step_size)
+            now = s.corner_force.max(axis=1)
+            when[now > peak] = s.time
+            peak = np.maximum(peak, now)
+    o = run.outcome()
+    assert o.peak_force == pytest.approx(peak.max(), rel=0.01)
+    assert o.peak_force_time == pytest.approx(when[peak.argmax()], abs=0.01)
+    # a car's own corners; the corners of others may have struck it harder
+    strong = peak > 2e6
+    assert strong.sum() > 4
+    assert np.all(o.car_peak_force[strong] > 0.98 * peak[strong])
+
+
 def test_an_outcome_without_anything():
     o = Simulation(make_train(3)).outcome()
     assert (o.final, o.status, o.cars_derailed, o.peak_force) == (False, "running", 0, 0.0)
