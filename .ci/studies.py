@@ -34,6 +34,8 @@ FIGURES = {
     "sobol_base_train": ("sobol",),
 }
 DPI = 80
+MOST = 4
+"""Most sentences a measure."""
 
 
 def write_figures(results: StudyResults, name: str) -> None:
@@ -58,7 +60,9 @@ def block(results: StudyResults) -> str:
     lines = [f"$ {command}", f"{manifest['title']}: {manifest['size']}"]
     for heading, sentences in results.findings():
         lines.append(heading)
-        lines += [f"- {sentence}" for sentence in sentences]
+        lines += [f"- {sentence}" for sentence in sentences[:MOST]]
+        if len(sentences) > MOST:
+            lines.append(f"- ... and {len(sentences) - MOST} more")
     engine = manifest["software"]["engine_hash"]
     return "```text\n" + "\n".join(lines) + f"\n```\n\n<sub>engine {engine}</sub>"
 

@@ -611,6 +611,7 @@ def _scatter(results: StudyResults, measure: str) -> Drawn | None:
             capsize=2.5,
             zorder=3,
         )
+        axes.xaxis.set_major_locator(MaxNLocator(4))
         set_labels(axes)
         axes.set_xlabel(results.study.label(name))
         if k % columns == 0:

@@ -106,6 +106,10 @@ def run_study(
     identity = _identity(check(design, tell))
     before = _prepare(folder, identity)
     if before is not None and before["complete"] and (folder / before["table"]["file"]).is_file():
+        # the runs are those of this study; its words, measures and figures may be new
+        now = _manifest(design, identity, before)
+        words = {k: now[k] for k in ("name", "title", "study", "labels", "measures")}
+        _write_manifest(folder, before | words)
         return folder
 
     manifest = _manifest(design, identity, before)

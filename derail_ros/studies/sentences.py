@@ -187,6 +187,9 @@ def _not_told(results: StudyResults, measure: str) -> list[str]:
     return found
 
 
+MOST_NEEDED = 10_000
+
+
 def _round(n: int) -> int:
     """Two digits are all that such an estimate has."""
     digits = max(0, len(str(n)) - 2)
@@ -224,7 +227,9 @@ def _cannot(
     text += f" (means {shown(measure, means[least], 1)} to {shown(measure, means[most], 1)}"
     text += f" {unit}" if unit else ""
     needed = statistics.runs_needed(groups[least], groups[most])
-    if needed is not None and needed > n:
+    if needed is not None and needed > MOST_NEEDED:
+        text += "; no ensemble that one would compute tells a difference so small"
+    elif needed is not None and needed > n:
         text += f"; a difference as large as that would take about {_round(needed)} runs a point"
     return text + ")."
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,6 +44,11 @@ def t_quantile(degrees: NDArray | float, level: float = LEVEL) -> Any:
     from scipy.special import stdtrit
 
     return stdtrit(degrees, 0.5 * (1.0 + level))
+
+
+@lru_cache(maxsize=1000)
+def _t_of(degrees: int) -> float:
+    return float(t_quantile(degrees))
 
 
 def summary(results: StudyResults) -> pandas.DataFrame:
@@ -84,10 +90,10 @@ def describe(values: Iterable[float]) -> dict[str, float]:
     n = len(x)
     out: dict[str, float] = {"n": n, "mean": float(x.mean()) if n else math.nan}
     sd = float(x.std(ddof=1)) if n > 1 else math.nan
-    half = float(t_quantile(n - 1)) * sd / math.sqrt(n) if n > 1 else math.nan
+    half = _t_of(n - 1) * sd / math.sqrt(n) if n > 1 else math.nan
     out |= {"mean_low": out["mean"] - half, "mean_high": out["mean"] + half, "sd": sd}
-    for name, q in QUANTILES.items():
-        out[name] = float(np.quantile(x, q)) if n else math.nan
+    quantiles = np.quantile(x, list(QUANTILES.values())) if n else [math.nan] * len(QUANTILES)
+    out |= {name: float(q) for name, q in zip(QUANTILES, quantiles, strict=True)}
     out |= {"least": float(x.min()) if n else math.nan, "most": float(x.max()) if n else math.nan}
     return out
 
@@ -444,12 +450,6 @@ def lines(results: StudyResults) -> list[Line]:
                 values, points = _sorted(list(group[name]), list(group["point"]))
                 found.append(Line(name, fixed, values, points))
     elif results.study.model.design == "cases":
-        labels = [
-            ", ".join(_text(v) for v in row) for row in first[columns].itertuples(index=False)
-        ]
-        found.append(Line(None, {}, labels, list(first["point"])))
+        points = [int(p) for p in first["point"]]
+        found.append(Line(None, {}, [results.labels[p] for p in points], points))
     return found
-
-
-def _text(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -97,6 +97,18 @@ def test_finished_runs_are_not_repeated(load, folder, invented):
     assert again.seen.keys == []
 
 
+def test_finished_runs_serve_other_measures_and_words(load, folder, invented):
+    runner = invented(lambda p, m: {"cars_derailed": p, "scene_width_m": 1.0 * m})
+    place = run_study(load(), folder / "out", run=runner)
+    text = (folder / "study.yaml").read_text().replace("A small study", "Another title")
+    run_study(load(text + "measures: [scene_width_m]\n"), place, run=runner)
+    assert len(runner.seen.keys) == 8
+    results = StudyResults(place)
+    assert results.measures == ("scene_width_m",)
+    assert results.manifest["title"] == "Another title"
+    assert results.complete
+
+
 def test_a_run_that_comes_twice_counts_once(load, folder, invented):
     runner = invented(lambda point, member: {"cars_derailed": 10 * point + member})
 
