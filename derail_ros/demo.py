@@ -26,6 +26,8 @@ SCENARIO = "mississauga"
 SPEED_FACTOR = 3.0
 LATEST = 8
 """Events shown."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 GIVE_UP = 300.0
 """Wall time after which the demonstration gives up, s."""
 
@@ -326,7 +328,8 @@ def run(scenario: str, speed_factor: float, output: Path | None) -> int:
         try:
             watch(heard, [simulator, recorder], env, began)
         except KeyboardInterrupt:
-            console.print("interrupted: the recording is closed whole")
+            console.print("interrupted")
+            return INTERRUPTED
     if simulator.returncode != 0 or recorder.returncode != 0 or not heard.final:
         for process, log in ((simulator, simulator_log), (recorder, recorder_log)):
             if process.returncode != 0 or not heard.final:

@@ -154,9 +154,17 @@ def _piece(marker: Any, phase: int) -> _Piece:
 
 
 class MarkerEncoder:
-    """``markers`` of a run: cars, labels, couplings and contact forces."""
+    """``markers`` of a run: cars, labels, couplings and contact forces.
 
-    def __init__(self, params: TrainParams, context: RunContext) -> None:
+    ``pieces`` of an earlier run of the same train in the same frame are used again.
+    """
+
+    def __init__(
+        self,
+        params: TrainParams,
+        context: RunContext,
+        pieces: dict[tuple[Any, ...], _Piece] | None = None,
+    ) -> None:
         cars = params.cars
         self.context = context
         self._n = len(cars)
@@ -165,7 +173,7 @@ class MarkerEncoder:
         self._represents = [car.represents for car in cars]
         self._pivot = np.array([car.pivot_distance for car in cars])
         self._layout: tuple[Any, ...] = ()
-        self._pieces: dict[tuple[Any, ...], _Piece] = {}
+        self._pieces: dict[tuple[Any, ...], _Piece] = {} if pieces is None else pieces
         self._data = bytearray()
 
     def _labels(self, derailed: NDArray[np.bool_], peak: NDArray[np.float64]) -> tuple[str, ...]:
@@ -328,7 +336,11 @@ def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
     The message clears what was shown before and holds everything, since only the last one is kept
     for late subscribers.
     """
-    x, y, heading = track.x, track.y, track.heading
+    # Of a straight its two ends are enough.
+    turns = np.abs(np.diff(track.heading)) > 1e-12
+    kept = np.ones(len(track.s), dtype=bool)
+    kept[1:-1] = turns[1:] | turns[:-1]
+    x, y, heading = track.x[kept], track.y[kept], track.heading[kept]
     nx, ny = -np.sin(heading), np.cos(heading)
 
     def offset(side: float, z: float) -> NDArray[np.float64]:
@@ -362,7 +374,7 @@ def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
                 points=offset(side, 0.0),
             )
         )
-    angle = np.interp(track.rail_break_coordinate, track.s, heading)
+    angle = np.interp(track.rail_break_coordinate, track.s, track.heading)
     for number, (s, bx, by) in enumerate(
         zip(track.rail_break_coordinate, track.rail_break_x, track.rail_break_y)
     ):

@@ -38,6 +38,9 @@ IDLE = 0.1
 IDLE_MARKERS = 1.0
 """Wall time between markers while nothing moves, s: for those who come late."""
 
+CLEARS = 3
+"""Marker messages of a new run that clear what was shown: of depth 1, one could be overwritten."""
+
 BRAKE_MODES = ("conventional", "instant", "traction_limited", "instant_traction_limited")
 BRAKE_SOURCES = ("front", "rear", "both_ends", "car")
 
@@ -187,7 +190,7 @@ class SimulatorCore:
         self._pace = _Pace(since=wall())
         self._due = _Due()
         self._stepping: _Stepping | None = None
-        self._markers_reset = False
+        self._markers_reset = 0
         self._markers_fresh = False
         if settings.record:
             self._begin_recording()
@@ -368,9 +371,11 @@ class SimulatorCore:
         if math.isinf(speed_kmh) or speed_kmh < 0.0:
             raise ValueError("speed_kmh: must be a finite number above 0 (0 or NaN: as it is)")
         try:
-            return prepare(scenario, speed_kmh)
+            prepared = prepare(scenario, speed_kmh)
         except (ScenarioError, DerailError) as error:
             raise ValueError(str(error)) from error
+        prepared.warm(self.settings.frame_id)
+        return prepared
 
     def load(
         self,
@@ -437,7 +442,7 @@ class SimulatorCore:
         self._enter_manifest()
         if self.recorder is not None:
             self.recorder.write_manifest(self.manifest, self._base)
-        self._markers_reset = self._markers_fresh = True
+        self._markers_reset, self._markers_fresh = CLEARS, True
         self._due.tick = self.wall() + self.session.tick_length / max(settings.speed_factor, 1e-9)
         self.session.begin()
         self.output.log(Level.OK, f"run {self.run_id} of {prepared.name} begins")
@@ -711,8 +716,9 @@ class SimulatorCore:
         if rate <= 0.0 or self.session is None:
             return math.inf
         if now >= self._due.markers and (self._markers_fresh or now >= self._due.idle_markers):
-            self.output.publish("markers", self.session.markers(reset=self._markers_reset))
-            self._markers_reset = self._markers_fresh = False
+            self.output.publish("markers", self.session.markers(reset=self._markers_reset > 0))
+            self._markers_reset = max(0, self._markers_reset - 1)
+            self._markers_fresh = False
             self._due.markers = max(self._due.markers + 1.0 / rate, now)
             self._due.idle_markers = now + IDLE_MARKERS
         return self._due.markers if self._markers_fresh else self._due.idle_markers

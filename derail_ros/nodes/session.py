@@ -49,6 +49,7 @@ class Prepared:
     yaml, resolved : the scenario with all defaults filled in, as text and as plain data
     simulation : at the start, never advanced: runs are copies of it
     car_types : type of rolling stock of each car, "" where it was given by its numbers
+    marker_pieces : serialised markers, kept from run to run
     """
 
     name: str
@@ -57,6 +58,14 @@ class Prepared:
     resolved: dict[str, Any]
     simulation: Any
     car_types: tuple[str, ...] = ()
+    marker_pieces: dict[Any, Any] = field(default_factory=dict)
+
+    def warm(self, frame_id: str) -> None:
+        """Lay out the markers, which takes a while for a long train."""
+        simulation = self.simulation
+        context = RunContext("", 0, frame_id)
+        encoder = MarkerEncoder(simulation.params, context, self.marker_pieces)
+        encoder(simulation.sample(), np.zeros(len(simulation.params.cars)), reset=True)
 
 
 def prepare(scenario: Any, speed_kmh: float = math.nan) -> Prepared:
@@ -157,9 +166,11 @@ class Session:
         self._record_markers = record_markers
         self._markers_recorded = 0
         self._encoder = StateEncoder(self.params, self.context)
-        self._markers = MarkerEncoder(self.params, self.context)
+        self._markers = MarkerEncoder(self.params, self.context, prepared.marker_pieces)
         self._live_transforms = live_transforms
-        self._transforms = TransformEncoder(len(self.params.cars), self.context)
+        self._transforms: TransformEncoder | None = None
+        if live_transforms is not None:
+            self._transforms = TransformEncoder(len(self.params.cars), self.context)
         self._done = _Published()
         self._log_stamp = base
         self._breaks: list[tuple[float, float]] = []
@@ -290,7 +301,7 @@ class Session:
         stamp = self.context.stamp(sample.time)
         for topic, data in self._encoder.encode(sample):
             self._out(topic, data, stamp)
-        if self._live_transforms is not None:
+        if self._live_transforms is not None and self._transforms is not None:
             self._live_transforms(self._transforms(sample))
         if self._record_markers is not None and self.rates.recorded_markers > 0.0:
             due = self._markers_recorded / self.rates.recorded_markers
@@ -351,15 +362,16 @@ class Session:
                     simulation.advance_steps(1)
                     if time.perf_counter() >= end:
                         break
+            if simulation.time < target and not simulation.ended:
+                return False
+            sample = simulation.sample(target)
         except SimulationError as error:
             self.fail(error)
             raise
-        if simulation.time < target and not simulation.ended:
-            return False
         self.tick += 1
-        sample = simulation.sample(self.time)
-        if sample.time != self.time:
-            sample = dataclasses.replace(sample, time=self.time)
+        if sample.time != target:
+            # The state after the end is that at the end.
+            sample = dataclasses.replace(sample, time=target)
         self._out_tick(sample)
         if simulation.ended and self.time + GRAIN >= simulation.time:
             self._finish()
