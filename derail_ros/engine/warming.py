@@ -26,18 +26,13 @@ from derail_ros.engine.params import (
     TrainParams,
 )
 
-try:
-    import fcntl
-except ImportError:  # not on this platform: no lock, processes may compile side by side
-    fcntl = None  # type: ignore[assignment]
-
 COMPLETE = "complete"
 STALE_AFTER = 14 * 86400.0
 """Cache folders of other versions go when they have not been used for this long, s."""
 
 _state = threading.local()
 _mutex = threading.Lock()
-_ready = False
+_ready = threading.Event()
 _use: IO[bytes] | None = None
 
 
@@ -47,8 +42,10 @@ def _say(text: str) -> None:
 
 def _lock(file: IO[bytes], shared: bool, wait: bool) -> bool:
     """Take a lock on an open file; False when it is held and ``wait`` is not."""
-    if fcntl is None:
+    if sys.platform == "win32":  # no lock there: processes may compile side by side
         return True
+    import fcntl
+
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     try:
         fcntl.flock(file, how if wait else how | fcntl.LOCK_NB)
@@ -154,18 +151,17 @@ def ensure_compiled(say: Callable[[str], None] | None = None) -> None:
     Every run calls this when it is built; after the first time it costs nothing. Messages go to
     the standard error if nobody asks for them.
     """
-    global _ready
-    if _ready or getattr(_state, "inside", False):
+    if _ready.is_set() or getattr(_state, "inside", False):
         return
     with _mutex:
-        if _ready:
+        if _ready.is_set():
             return
         _state.inside = True
         try:
             if not (CACHE_DIR / COMPLETE).exists():
                 _compile(say or _say)
             _hold(CACHE_DIR)
-            _ready = True
+            _ready.set()
         finally:
             _state.inside = False
 
