@@ -167,7 +167,7 @@ def validate(params: TrainParams) -> None:
         "time_limit",
     ):
         positive(getattr(n, name), f"integration.{name}")
-    # peaks of contact forces are seen at the ends of steps
+    # a contact must not rise and fall within one step
     finite(n.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
     require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
     finite(params.variant.moment_widening, "variant.moment_widening", 0.0)

@@ -271,6 +271,35 @@ def _corner_contacts(
 
 
 @inner_jit
+def pair_contacts(
+    par: F64, car: F64, q: F64, v: F64, wk: F64, force: F64, pair: F64, mask: U8, report: F64,
+    p: int, i: int, j: int,
+) -> None:  # fmt: skip
+    """Contacts between the cars ``i`` and ``j`` of row ``p``, anew."""
+    keep_separate()
+    pair[p, L.P_FX] = 0.0
+    pair[p, L.P_FY] = 0.0
+    pair[p, L.P_FMAX] = 0.0
+    pair[p, L.P_POWER] = 0.0
+    ci = wk[i, L.W_CT]
+    si = wk[i, L.W_ST]
+    cj = wk[j, L.W_CT]
+    sj = wk[j, L.W_ST]
+    dx = q[i, 0] - q[j, 0]
+    dy = q[i, 1] - q[j, 1]
+    c = ci * cj + si * sj
+    s = si * cj - ci * sj
+    _corner_contacts(
+        par, car, q, v, wk, force, pair, mask, report, p, i, j,
+        cj * dx + sj * dy, -sj * dx + cj * dy, c, s, False,
+    )  # fmt: skip
+    _corner_contacts(
+        par, car, q, v, wk, force, pair, mask, report, p, j, i,
+        -ci * dx - si * dy, si * dx - ci * dy, c, -s, True,
+    )  # fmt: skip
+
+
+@inner_jit
 def collisions(
     par: F64,
     car: F64,

@@ -178,7 +178,8 @@ P_ID = 10  # row of the contact in progress, -1 without
 P_BELOW = 11  # since when the force has been below the end level
 P_LAST_POWER = 12
 P_NEAR = 13  # the rectangles' buffers overlapped at the last evaluation
-N_PAIR = 14
+P_LAST_FMAX = 14  # at the last accepted state
+N_PAIR = 15
 
 # --- contact: one row a collision event ----------------------------------------------------------
 K_A = 0

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.forces import pair_contacts
+from derail_ros.engine.interpolation import hermite
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.contact import nearest_wall, outside_mask
 from derail_ros.engine.trigonometry import angles, sincos
@@ -256,7 +258,125 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
 
 
 @inner_jit
-def track_contacts(model: Model, state: State, t: float, h: float) -> None:
+def note_force(
+    state: State, row: F64, contact: F64, i: int, j: int, angle: float, t: float
+) -> None:
+    """Keep the force between the cars ``i`` and ``j`` at ``t`` if it is the largest so far.
+
+    ``row`` is the pair's, ``angle`` that between the cars.
+    """
+    keep_separate()
+    corner_force = row[L.P_FMAX]
+    if corner_force > state.peak[i, L.PK_F]:
+        state.peak[i, L.PK_F] = corner_force
+        state.peak[i, L.PK_T] = t
+        state.peak[i, L.PK_OTHER] = j + 1.0
+    if corner_force > state.peak[j, L.PK_F]:
+        state.peak[j, L.PK_F] = corner_force
+        state.peak[j, L.PK_T] = t
+        state.peak[j, L.PK_OTHER] = i + 1.0
+    if contact.shape[0] == 0:
+        return
+    if corner_force > contact[L.K_PEAK]:
+        if contact[L.K_STAGE] == 1.0 and corner_force > 1.01 * contact[L.K_PEAK]:
+            contact[L.K_STAGE] = 0.0
+        contact[L.K_PEAK] = corner_force
+        contact[L.K_PEAK_T] = t
+        corner = int(row[L.P_CORNER])
+        contact[L.K_CORNER_CAR] = i + 1.0 if corner < 4 else j + 1.0
+        contact[L.K_CORNER] = corner % 4
+        contact[L.K_X] = row[L.P_X]
+        contact[L.K_Y] = row[L.P_Y]
+        sign = 1.0 if contact[L.K_A] == i + 1.0 else -1.0
+        contact[L.K_NX] = sign * row[L.P_NX]
+        contact[L.K_NY] = sign * row[L.P_NY]
+        contact[L.K_ANGLE] = math.atan2(abs(math.sin(angle)), abs(math.cos(angle)))
+    elif contact[L.K_STAGE] == 0.0 and corner_force < 0.9 * contact[L.K_PEAK]:
+        contact[L.K_STAGE] = 1.0
+        contact[L.K_VERSION] += 1.0
+    resultant = math.sqrt(row[L.P_FX] * row[L.P_FX] + row[L.P_FY] * row[L.P_FY])
+    if resultant > contact[L.K_RES]:
+        contact[L.K_RES] = resultant
+        contact[L.K_RES_T] = t
+
+
+@inner_jit
+def force_within(model: Model, state: State, work: Work, p: int, x: float, h: float) -> float:
+    """Largest corner force of a pair at the share ``x`` of the last step, N.
+
+    The pair's row at that moment is left in ``work.pair``. Other scratch used here is free once
+    the step has been accepted.
+    """
+    keep_separate()
+    q = work.kq[0]
+    v = work.kv[0]
+    for side in range(2):
+        i = state.pairs[p, side]
+        for k in range(3):
+            q[i, k], v[i, k], _ = hermite(
+                x, h, state.q0[i, k], state.v0[i, k], state.a0[i, k], state.q[i, k],
+                state.v[i, k], state.a1[i, k],
+            )  # fmt: skip
+        work.stage_v[i, L.W_CT] = math.cos(q[i, 2])
+        work.stage_v[i, L.W_ST] = math.sin(q[i, 2])
+    pair_contacts(
+        model.par, model.car, q, v, work.stage_v, work.stage_q, work.pair, state.mask,
+        work.report, p, state.pairs[p, 0], state.pairs[p, 1],
+    )  # fmt: skip
+    return work.pair[p, L.P_FMAX]
+
+
+@inner_jit
+def peak_within(
+    model: Model, state: State, work: Work, contact: F64, p: int, t: float, h: float
+) -> None:
+    """Find and keep a pair's largest force inside the step that ended at ``t``.
+
+    A step may be as long as the rise of a contact. The force within a step rises, falls or does
+    both: with its end the highest there is nothing to find; else three more moments and the
+    vertex of a parabola through the highest and its neighbours.
+    """
+    keep_separate()
+    first = state.pair[p, L.P_LAST_FMAX]
+    last = state.pair[p, L.P_FMAX]
+    if force_within(model, state, work, p, 0.95, h) <= last:
+        return
+    before = first
+    best = first
+    after = last
+    at = 0.0
+    f1 = force_within(model, state, work, p, 0.25, h)
+    f2 = force_within(model, state, work, p, 0.5, h)
+    f3 = force_within(model, state, work, p, 0.75, h)
+    if f1 > best:
+        before, best, after, at = first, f1, f2, 0.25
+    if f2 > best:
+        before, best, after, at = f1, f2, f3, 0.5
+    if f3 > best:
+        before, best, after, at = f2, f3, last, 0.75
+    if at == 0.0:
+        return
+    bend = before - 2.0 * best + after
+    if bend < 0.0:
+        vertex = at + 0.125 * (before - after) / bend
+        if force_within(model, state, work, p, vertex, h) < best:
+            force_within(model, state, work, p, at, h)
+        else:
+            at = vertex
+    else:
+        force_within(model, state, work, p, at, h)
+    q = work.kq[0]
+    i = state.pairs[p, 0]
+    j = state.pairs[p, 1]
+    note_force(state, work.pair[p], contact, i, j, q[i, 2] - q[j, 2], t - (1.0 - at) * h)
+
+
+NEAR_PEAK = 0.8
+"""A step that begins or ends above this share of a contact's peak may hold a higher one."""
+
+
+@inner_jit
+def track_contacts(model: Model, state: State, work: Work, t: float, h: float) -> None:
     """Follow the contacts of all pairs at an accepted state: events, peaks, energy."""
     keep_separate()
     par = model.par
@@ -271,18 +391,12 @@ def track_contacts(model: Model, state: State, t: float, h: float) -> None:
         resultant = math.sqrt(
             pair[p, L.P_FX] * pair[p, L.P_FX] + pair[p, L.P_FY] * pair[p, L.P_FY]
         )
-        corner_force = pair[p, L.P_FMAX]
-        if corner_force > state.peak[i, L.PK_F]:
-            state.peak[i, L.PK_F] = corner_force
-            state.peak[i, L.PK_T] = t
-            state.peak[i, L.PK_OTHER] = j + 1.0
-        if corner_force > state.peak[j, L.PK_F]:
-            state.peak[j, L.PK_F] = corner_force
-            state.peak[j, L.PK_T] = t
-            state.peak[j, L.PK_OTHER] = i + 1.0
+        angle = state.q[i, 2] - state.q[j, 2]
         if pair[p, L.P_ID] < 0.0:
             pair[p, L.P_LAST_POWER] = pair[p, L.P_POWER]
             if resultant < par[L.C_BEGIN]:
+                note_force(state, pair[p], state.contact[0, 0:0], i, j, angle, t)
+                pair[p, L.P_LAST_FMAX] = pair[p, L.P_FMAX]
                 continue
             k = state.cnt[L.N_CONTACTS]
             state.cnt[L.N_CONTACTS] += 1
@@ -311,27 +425,10 @@ def track_contacts(model: Model, state: State, t: float, h: float) -> None:
             contact = state.contact[k]
             contact[L.K_ENERGY] += 0.5 * h * (pair[p, L.P_POWER] + pair[p, L.P_LAST_POWER])
             pair[p, L.P_LAST_POWER] = pair[p, L.P_POWER]
-        if corner_force > contact[L.K_PEAK]:
-            if contact[L.K_STAGE] == 1.0 and corner_force > 1.01 * contact[L.K_PEAK]:
-                contact[L.K_STAGE] = 0.0
-            contact[L.K_PEAK] = corner_force
-            contact[L.K_PEAK_T] = t
-            corner = int(pair[p, L.P_CORNER])
-            contact[L.K_CORNER_CAR] = i + 1.0 if corner < 4 else j + 1.0
-            contact[L.K_CORNER] = corner % 4
-            contact[L.K_X] = pair[p, L.P_X]
-            contact[L.K_Y] = pair[p, L.P_Y]
-            sign = 1.0 if contact[L.K_A] == i + 1.0 else -1.0
-            contact[L.K_NX] = sign * pair[p, L.P_NX]
-            contact[L.K_NY] = sign * pair[p, L.P_NY]
-            d = state.q[i, 2] - state.q[j, 2]
-            contact[L.K_ANGLE] = math.atan2(abs(math.sin(d)), abs(math.cos(d)))
-        elif contact[L.K_STAGE] == 0.0 and corner_force < 0.9 * contact[L.K_PEAK]:
-            contact[L.K_STAGE] = 1.0
-            contact[L.K_VERSION] += 1.0
-        if resultant > contact[L.K_RES]:
-            contact[L.K_RES] = resultant
-            contact[L.K_RES_T] = t
+        if max(pair[p, L.P_LAST_FMAX], pair[p, L.P_FMAX]) > NEAR_PEAK * contact[L.K_PEAK]:
+            peak_within(model, state, work, contact, p, t, h)
+        note_force(state, pair[p], contact, i, j, angle, t)
+        pair[p, L.P_LAST_FMAX] = pair[p, L.P_FMAX]
         if resultant >= par[L.C_END]:
             pair[p, L.P_BELOW] = -1.0
         elif pair[p, L.P_BELOW] < 0.0:

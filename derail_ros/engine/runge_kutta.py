@@ -189,7 +189,7 @@ def friction_damping(
 
 
 @inner_jit
-def _masses(car: F64, wk: F64, factor_h: float) -> None:
+def _implicit_masses(car: F64, wk: F64, factor_h: float) -> None:
     """Inverse of ``M + factor_h C`` of the stiff cars into ``wk``."""
     for i in range(wk.shape[0]):
         if wk[i, L.W_STIFF] == 0.0:
@@ -210,6 +210,23 @@ def _masses(car: F64, wk: F64, factor_h: float) -> None:
         wk[i, L.W_M + 3] = (xx * tt - xt * xt) / det
         wk[i, L.W_M + 4] = (xy * xt - xx * yt) / det
         wk[i, L.W_M + 5] = (xx * yy - xy * xy) / det
+
+
+@inner_jit
+def _restore_masses(car: F64, wk: F64) -> None:
+    """Inverse of ``M`` of the stiff cars into ``wk``, to the bit as ``plain_masses`` has it.
+
+    A run that goes on from a saved state begins with those.
+    """
+    for i in range(wk.shape[0]):
+        if wk[i, L.W_STIFF] == 0.0:
+            continue
+        wk[i, L.W_M] = 1.0 / car[i, L.MASS]
+        wk[i, L.W_M + 1] = 0.0
+        wk[i, L.W_M + 2] = 0.0
+        wk[i, L.W_M + 3] = 1.0 / car[i, L.MASS]
+        wk[i, L.W_M + 4] = 0.0
+        wk[i, L.W_M + 5] = 1.0 / car[i, L.INERTIA]
 
 
 @inner_jit
@@ -263,7 +280,7 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
     mode = PLAIN
     if stiff:
         mode = IMPLICIT
-        _masses(car, wk, h * gamma)
+        _implicit_masses(car, wk, h * gamma)
         # The forces at the accepted state are M a less those of its constraints: the multipliers
         # found here are differences, the slopes are the same.
         for i in range(n):
@@ -274,6 +291,7 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
             work.force[i, 4] = car[i, L.IC] * state.a[i, 4]
         truck_rows(car, model.track, state.truck_s, state.truck_on, state.q, wk)
         if not factor(car, state.truck_on, state.coupled, wk):
+            _restore_masses(car, wk)
             return -1
         acceleration_gamma(
             model.par, car, state.truck_on, state.coupled, state.q, state.v, wk, work.gamma_t,
@@ -304,6 +322,8 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
             model, state, work, t + table[2 * stages + 2, s] * h, state.truck_on, state.coupled,
             q1, v1, work.kv[s], mode,
         ):  # fmt: skip
+            if stiff:
+                _restore_masses(car, wk)
             return -1
         for k in range(L.N_POWER):
             work.kp[s, k] = work.power[k]
@@ -315,7 +335,7 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
             total += table[2 * stages, s] * work.kp[s, k]
         work.mean_power[k] = total
     if stiff:
-        _masses(car, wk, 0.0)
+        _restore_masses(car, wk)
         return 1
     return 0
 

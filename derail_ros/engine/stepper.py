@@ -645,7 +645,7 @@ def step(model: Model, state: State, work: Work) -> int:
     clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
     clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
 
-    track_contacts(model, state, clock[L.T], h)
+    track_contacts(model, state, work, clock[L.T], h)
     changed = remove_constraints(model, state, work)
     note_progress(model, state, work)
     if changed or clock[L.T] == switch:
