@@ -158,6 +158,7 @@ class Session:
         self.finished = False
         self.failure = ""
         self.stopped = False
+        self.announced = False
         self.sample: Sample = self.simulation.sample()
         self.car_peak: NDArray[np.float64] = np.zeros(len(self.params.cars))
         self.refused: list[dict[str, Any]] = []
@@ -243,6 +244,7 @@ class Session:
             Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{len(params.cars)} cars")
         )
         self._out_tick(self.sample, reset=True)
+        self.announced = True
 
     def _out_track(self, time: float) -> None:
         stamp = self.context.stamp(time)
@@ -398,8 +400,8 @@ class Session:
         self.finished = True
 
     def stop(self) -> None:
-        """End a run that something else takes the place of."""
-        if self.finished or not self.begun:
+        """End a run that something else takes the place of, even if it never left its start."""
+        if self.finished or not self.announced:
             return
         self._out_happenings(self.time)
         self._out_event(Event(EventKind.RUN_ENDED, self.time, self.step, cause="command"))

@@ -35,11 +35,17 @@ CLOCK_GRACE = 0.6
 """Wall time in which another publisher of the clock may show itself, s."""
 CLOCK_PROBATION = 30.0
 """Wall time in which one of two that began together gives way, s."""
-PER_RUN = ("events", "collisions", "outcome")
-"""Topics that begin anew with each run. The outcome is among them because its depth is 1: the last
-one of a run that a command ends would be overwritten by the first one of the next run."""
+PER_RUN = tuple(topic.name for topic in TOPICS.values() if topic.latched)
+"""Topics that begin anew with each run: with one publisher for all runs the last outcome of a run
+that a command ends (depth 1) would be overwritten by the first one of the next run before a
+subscriber that is held up has got it, and so would train and track."""
 MATCH_WAIT = 1.0
 """Wall time for which a new run's first events wait for their subscribers, s."""
+RETIRE_WAIT = 8.0
+"""Wall time for which the publisher of an old run waits until everything has arrived, s. What was
+dropped on the way is sent again with the next heartbeat, every 3 s."""
+RETIRED_MOST = 8
+"""Publishers of old runs that a topic keeps at most, for subscribers that never answer."""
 LISTENERS_WAIT = 10.0
 """Wall time for which the first run waits for listeners (parameter await_listeners), s."""
 EXIT_WAIT = 5.0
@@ -47,12 +53,21 @@ EXIT_WAIT = 5.0
 
 
 @dataclass
+class _Retired:
+    """The publisher of an old run, and who has to get what it sent."""
+
+    publisher: Any
+    expected: int
+    until: float
+
+
+@dataclass
 class _Channel:
-    """A publisher; and, of a topic that begins anew with each run, the one before it."""
+    """A publisher; and, of a topic that begins anew with each run, those before it."""
 
     topic: Topic
     publisher: Any
-    retired: list[tuple[Any, float]] = field(default_factory=list)
+    retired: list[_Retired] = field(default_factory=list)
     waiting: list[bytes] = field(default_factory=list)
     expected: int = 0
     until: float = 0.0
@@ -114,14 +129,19 @@ class NodeOutput:
         """
         for name in PER_RUN:
             channel = self.channels[name]
+            now = time.monotonic()
             old = channel.publisher
             for data in channel.waiting:
                 old.publish(data)
             channel.waiting.clear()
-            channel.expected = old.get_subscription_count()
+            # One that began a moment ago may not have matched all of them yet.
+            count = old.get_subscription_count()
+            channel.expected = max(count, channel.expected) if channel.until else count
             channel.publisher = self._publisher(channel.topic)
-            channel.until = time.monotonic() + MATCH_WAIT
-            channel.retired.append((old, channel.until))
+            channel.until = now + MATCH_WAIT
+            channel.retired.append(_Retired(old, channel.expected, now + RETIRE_WAIT))
+            while len(channel.retired) > RETIRED_MOST:
+                self.node.destroy_publisher(channel.retired.pop(0).publisher)
 
     def listeners(self, topics: Sequence[str]) -> int:
         """Number of subscribers that each of the topics has at least."""
@@ -134,7 +154,7 @@ class NodeOutput:
             if channel.until:
                 self._release(channel)
             if channel.retired:
-                channel.retired = [entry for entry in channel.retired if not self._retire(*entry)]
+                channel.retired = [each for each in channel.retired if not self._retire(each)]
             busy = busy or bool(channel.until) or bool(channel.retired)
         return busy
 
@@ -146,9 +166,13 @@ class NodeOutput:
                 channel.publisher.publish(data)
             channel.waiting.clear()
 
-    def _retire(self, publisher: Any, until: float) -> bool:
+    def _retire(self, retired: _Retired) -> bool:
         """Destroy the publisher of an old run once everything has arrived."""
-        if time.monotonic() < until and not _acknowledged(publisher, 0.0):
+        publisher = retired.publisher
+        arrived = publisher.get_subscription_count() >= retired.expected and _acknowledged(
+            publisher, 0.0
+        )
+        if not arrived and time.monotonic() < retired.until:
             return False
         self.node.destroy_publisher(publisher)
         return True

@@ -80,6 +80,18 @@ class Process:
         return self.wait()
 
 
+class Ear(Process):
+    """A subscriber in a process of its own, which can be held up or killed; see ``ear.py``."""
+
+    def signal(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def heard(self) -> set[tuple[str, str]]:
+        """What it has heard of which run: topics, and what is special about a message."""
+        lines = [line.split("\t") for line in self.output.splitlines() if "\t" in line]
+        return {(line[0], line[1]) for line in lines}
+
+
 class Graph:
     """A domain of its own with processes and one node that listens and asks."""
 
@@ -132,6 +144,18 @@ class Graph:
                 process,
             )
         return process
+
+    def ear(self, *topics: str) -> Ear:
+        """Start a subscriber in a process of its own, and wait until it hears."""
+        log = self.folder / f"ear-{len(self.processes)}.log"
+        before = {topic: self.node.count_subscribers(topic) for topic in topics}
+        ear = Ear("tests.nodes.ear", self.env, log, *topics)
+        self.processes.append(ear)
+        self.until(
+            lambda: all(self.node.count_subscribers(t) > n for t, n in before.items()),
+            "the ear listens",
+        )
+        return ear
 
     def close(self) -> None:
         for process in reversed(self.processes):

@@ -346,6 +346,17 @@ def test_a_new_run_has_a_new_identity_and_later_stamps(bench: Bench) -> None:
     assert sum(clears) == 6
 
 
+def test_a_run_that_never_left_its_start_ends_too(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    first = bench.core.run_id
+    bench.core.reset(0)
+    mine = [e.kind_name for e in bench.heard.of("events") if e.run_id == first]
+    assert mine == ["run_loaded", "run_ended"]
+    outcomes = [o for o in bench.heard.of("outcome") if o.run_id == first]
+    assert [o.is_final for o in outcomes] == [False, True]
+    assert outcomes[-1].status_name == "stopped"
+
+
 def test_reset_to_zero_sets_time_to_zero(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(1.0)

@@ -62,13 +62,16 @@ def of_run(made: Graph, topic: str, run_id: str) -> list:
     return [m for m in made.heard[topic] if m.run_id == run_id]
 
 
+def finals(made: Graph, run_id: str) -> list:
+    return [m for m in of_run(made, "outcome", run_id) if m.is_final]
+
+
 def test_a_run_from_loading_to_its_end(fresh: Graph) -> None:
     fresh.set_parameter("speed_factor", 0.0)
     answer = load(fresh, SMALL)
     heard = fresh.heard
-    final = lambda: [m for m in of_run(fresh, "outcome", answer.run_id) if m.is_final]  # noqa: E731
-    fresh.until(final, "the final outcome")
-    (outcome,) = final()
+    fresh.until(lambda: finals(fresh, answer.run_id), "the final outcome")
+    (outcome,) = finals(fresh, answer.run_id)
     assert outcome.status_name == "at rest" and outcome.cars_derailed > 0
     fresh.until(
         lambda: stamp_of(heard["train_state"][-1]) >= stamp_of(outcome), "the last state is heard"
@@ -265,8 +268,35 @@ def test_time_rises_through_resets_or_begins_at_zero(fresh: Graph) -> None:
     for run in (first, second, third):
         fresh.until(lambda r=run: of_run(fresh, "consist", r.run_id), "its train is told")
         fresh.until(lambda r=run: of_run(fresh, "track", r.run_id), "its track is told")
-    old = of_run(fresh, "outcome", first.run_id)[-1]
-    assert old.is_final and old.status_name == "stopped"
+    for run in (first, second):
+        fresh.until(lambda r=run: finals(fresh, r.run_id), "its last outcome is told")
+        assert finals(fresh, run.run_id)[0].status_name == "stopped"
+
+
+def test_who_is_held_up_gets_the_end_of_each_run_and_the_beginning_of_the_next(
+    fresh: Graph,
+) -> None:
+    """A process that stands still for longer than resets take: nothing latched is overwritten."""
+    runs = [load(fresh).run_id]
+    ear = fresh.ear("consist", "track", "outcome", "events")
+    fresh.until(lambda: ("outcome", runs[0]) in ear.heard(), "it hears the first run")
+    ear.signal(signal.SIGSTOP)
+    for _ in range(3):
+        fresh.until(lambda: fresh.heard["train_state"][-1].time > 0.1, "the run goes on")
+        fresh.heard["train_state"].clear()
+        runs.append(fresh.ask("reset_simulation").run_id)
+        fresh.until(lambda: of_run(fresh, "train_state", runs[-1]), "the next run goes on")
+    # Longer than a new run waits for its subscribers.
+    stamp = stamp_of(fresh.heard["train_state"][-1])
+    fresh.until(
+        lambda: stamp_of(fresh.heard["train_state"][-1]) > stamp + 1_500_000_000, "time passes"
+    )
+    ear.signal(signal.SIGCONT)
+    expected = {(topic, run) for run in runs for topic in ("consist", "track", "outcome")}
+    expected |= {("final outcome", run) for run in runs[:-1]}
+    expected |= {("run_ended", run) for run in runs[:-1]}
+    fresh.until(lambda: expected <= ear.heard(), "all of it arrives")
+    ear.end()
 
 
 def test_parameters_change_or_say_why_not(fresh: Graph) -> None:
