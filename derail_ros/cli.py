@@ -323,6 +323,22 @@ def repair(
 
 
 @app.command()
+def replay(
+    manifest: Annotated[
+        str, typer.Argument(help="manifest.json of a recording, or the recording's folder.")
+    ],
+    as_json: Json = False,
+) -> int:
+    """Compute recorded runs again, with their commands, and compare to the bit.
+
+    Exit code 3 if anything differs.
+    """
+    from derail_ros.commands import replay as command
+
+    return command.run(manifest, as_json)
+
+
+@app.command()
 def sensitivity(
     members: Annotated[
         int, typer.Option("--ensemble", "-n", min=2, help="Runs a case and change.")
