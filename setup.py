@@ -20,7 +20,7 @@ BASE = [
     "typer>=0.12",
     "rich>=13",
     "matplotlib>=3.8",
-    "rosbags>=0.10",
+    "rosbags>=0.10.9",
 ]
 
 # ROS 2 Kilted as wheels (x86-64 Linux): the versions that were tested together.

@@ -114,7 +114,7 @@ TRANSFORMS = Topic(
 
 def bag_qos(topic: Topic) -> Qos:
     """What a recording says of the topic's quality of service, so that a player latches it."""
-    unlimited = QosTime(2147483647, 4294967295)
+    unlimited = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
     return Qos(
         QosHistory.KEEP_LAST,
         topic.depth,

@@ -15,20 +15,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import (
-    CompressionFormat,
-    CompressionMode,
-    StoragePlugin,
-    Writer,
-    WriterError,
-)
+from rosbags.rosbag2 import WriterError
 
+from derail_ros.recording.files import STORAGE, add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME, Manifest
-from msg_adapters.definitions import serialize, typestore
+from msg_adapters.definitions import serialize
 from msg_adapters.reports import string
 from msg_adapters.topics import MANIFEST, TOPICS, Topic, bag_qos
 
-STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 FLUSH_EVERY = 1.0
 """Wall time after which what was handed over is on disk at the latest, s."""
 QUEUE_SIZE = 20_000
@@ -82,7 +76,7 @@ class RunRecorder:
         self.counts: dict[str, int] = dict.fromkeys(self.topics, 0)
         self._last_stamp = 0
         try:
-            self._writer = Writer(self.path, version=9, storage_plugin=STORAGE[storage])
+            self._writer = bag_writer(self.path, storage)
         except WriterError as error:
             raise RecordingError(str(error)) from error
         self._queue: queue.Queue[Any] = queue.Queue(QUEUE_SIZE)
@@ -170,17 +164,9 @@ class RunRecorder:
     def _run(self) -> None:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self.storage == "mcap":
-                # Chunks compressed with zstd: a seventh of the size, and no more time.
-                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
             connections = {
-                name: self._writer.add_connection(
-                    name,
-                    topic.msgtype,
-                    typestore=typestore(),
-                    offered_qos_profiles=[bag_qos(topic)],
-                )
+                name: add_topic(self._writer, name, topic.msgtype, [bag_qos(topic)])
                 for name, topic in ordered(self.topics)
             }
         except BaseException as error:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
-from derail_ros.recording.recorder import STORAGE
 from derail_ros.review.storage import BagError, Channel, RawBag, open_bag
 from msg_adapters.definitions import deserialize, typestore
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
@@ -44,7 +44,7 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
     BagError
         If there is nothing to read, or the new one cannot be written.
     """
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer, WriterError
+    from rosbags.rosbag2 import WriterError
 
     raw = open_bag(bag)
     was_whole = raw.intact
@@ -55,9 +55,7 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
     if target.exists():
         raise BagError(f"{target}: exists already; name another folder with -o")
     try:
-        writer = Writer(target, version=9, storage_plugin=STORAGE[raw.storage])
-        if raw.storage == "mcap":
-            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer = bag_writer(target, raw.storage)
         writer.open()
     except (WriterError, OSError) as error:
         raise BagError(f"{target}: {error}") from None
@@ -107,9 +105,7 @@ def _connect(writer: Any, channel: Channel) -> Any:
     if not qos and known is not None:
         qos = [bag_qos(known)]
     if channel.msgtype in typestore().fielddefs:
-        return writer.add_connection(
-            channel.topic, channel.msgtype, typestore=typestore(), offered_qos_profiles=qos
-        )
+        return add_topic(writer, channel.topic, channel.msgtype, qos)
     return writer.add_connection(
         channel.topic,
         channel.msgtype,

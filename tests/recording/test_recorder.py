@@ -161,19 +161,6 @@ def test_others_read_it_with_nothing_but_the_file(recorded) -> None:
     assert counts == expected
 
 
-def test_ros_tools_see_the_metadata_they_expect(recorded) -> None:
-    path = recorded[0]
-    info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert info["version"] == 9
-    assert info["storage_identifier"] in ("mcap", "sqlite3")
-    assert info["message_count"] == sum(recorded[1].messages.values())
-    types = {
-        t["topic_metadata"]["name"]: t["topic_metadata"] for t in info["topics_with_message_count"]
-    }
-    assert types["/train_state"]["type"] == "derail_msgs/msg/TrainState"
-    assert types["/train_state"]["type_description_hash"].startswith("RIHS01_")
-
-
 def test_what_is_computed_does_not_depend_on_the_recording(tmp_path) -> None:
     scenario = small()
     hashes = set()
