@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.review.scene import Scene
+from derail_ros.review.sound import believable
 from derail_ros.review.storage import (
     BagError,
     BagVersionError,
@@ -518,6 +519,7 @@ class _Reader:
         self.run = run
         self.manifest: dict[str, Any] = {}
         self.broken = 0
+        self.absurd = 0
 
     def read(self) -> Run:
         run_ids = self._run_ids()
@@ -614,15 +616,24 @@ class _Reader:
                 continue
             self._take(got, channel.msgtype.rpartition("/")[2], message)
         if self.broken:
-            self.bag.warn(f"{self.broken} messages cannot be read")
+            self.bag.warn(f"{_messages(self.broken)} cannot be read")
+        if self.absurd:
+            self.bag.warn(f"{_messages(self.absurd)} with impossible numbers left out")
         return got
 
-    def _take(self, got: _Collected, kind: str, m: Any) -> None:
+    def _alike(self, got: _Collected, kind: str, m: Any) -> bool:
+        """Whether a state is of as many cars as the first one."""
         if kind == "TrainState":
-            n = len(m.x)
-            if n == 0 or any(len(getattr(m, f)) != n for f in STATE_FIELDS):
-                self.broken += 1
-                return
+            return not got.states.count or len(m.x) == len(got.states.rows[0][1])
+        if kind == "CouplerStates":
+            return not got.couplings.count or len(m.coupled) == len(got.couplings.rows[0][1])
+        return True
+
+    def _take(self, got: _Collected, kind: str, m: Any) -> None:
+        if not believable(kind, m) or not self._alike(got, kind, m):
+            self.absurd += 1
+            return
+        if kind == "TrainState":
             got.states.add(
                 (
                     float(m.time),
@@ -667,14 +678,20 @@ class _Reader:
 
     def _assemble(self, run_id: str, run_ids: list[str], got: _Collected) -> Run:
         bag = self.bag
+        left = (
+            f"; {_messages(self.absurd)} with impossible numbers left out" if self.absurd else ""
+        )
         if got.consist is None:
             raise OtherTopicsError(
                 f"{bag.path}: no consist of run {run_id[:8]}: without it the cars are not known"
+                + left
             )
         cars = cars_of(got.consist)
         n = len(cars)
         if not got.states.count:
-            raise OtherTopicsError(f"{bag.path}: no states of run {run_id[:8]} (train_state)")
+            raise OtherTopicsError(
+                f"{bag.path}: no states of run {run_id[:8]} (train_state){left}"
+            )
         time, pose, velocity, coupler, trucks, brake, force, stamp = got.states.columns()
         if pose.shape[1] != n:
             raise OtherTopicsError(
@@ -683,6 +700,7 @@ class _Reader:
         if got.track is None:
             bag.warn("no track: a straight one is assumed")
         line = line_of(got.track)
+        self._only_cars(got, n, int(cars.represents.sum()))
         events = tuple(sorted(got.events.values(), key=lambda e: (e.time, e.sequence)))
         lost = (max(got.events) + 1 - len(got.events)) if got.events else 0
         if lost:
@@ -748,6 +766,19 @@ class _Reader:
             )
         return replace(run, result=result, warnings=tuple(bag.warnings))
 
+    def _only_cars(self, got: _Collected, n: int, real: int) -> None:
+        """Leave out what is told of cars that the train does not have.
+
+        Events also tell of the cars that the last body stands for.
+        """
+        for e in [e for e in got.events.values() if any(not 1 <= c <= real for c in e.cars)]:
+            del got.events[e.sequence]
+        for c in [c for c in got.contacts.values() if not _pair(c.car_a, c.car_b, n)]:
+            del got.contacts[c.id]
+        m = got.outcome
+        if m is not None and m.peak_car_a and not _pair(m.peak_car_a, m.peak_car_b, n):
+            got.outcome = None
+
     def _coupled(self, got: _Collected, events: Sequence[Happening], time: F64, n: int) -> Bool:
         if got.couplings.count:
             when, table = got.couplings.columns()
@@ -781,20 +812,13 @@ class _Reader:
             return {}
 
 
-STATE_FIELDS = (
-    "x",
-    "y",
-    "yaw",
-    "vx",
-    "vy",
-    "yaw_rate",
-    "coupler_angle_front",
-    "coupler_angle_rear",
-    "truck_status_front",
-    "truck_status_rear",
-    "brake_force",
-    "largest_corner_force",
-)
+def _messages(count: int) -> str:
+    return f"{count} message{'' if count == 1 else 's'}"
+
+
+def _pair(a: int, b: int, n: int) -> bool:
+    """Two different cars of a train of ``n``."""
+    return 1 <= a <= n and 1 <= b <= n and a != b
 
 
 def happening(m: Any) -> Happening:

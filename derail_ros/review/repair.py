@@ -12,6 +12,7 @@ from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
 from derail_ros.review.storage import BagError, Channel, RawBag, open_bag
 from msg_adapters.definitions import deserialize, typestore
+from msg_adapters.reports import jsonable
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
 
@@ -78,13 +79,14 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
         if manifest is not None:
             manifest.setdefault("settings", {})["repaired"] = True
             manifest["messages"] = dict(counts)
-            writer.set_custom_data(CUSTOM_DATA, json.dumps(manifest, indent=1))
+            manifest = jsonable(manifest)  # Python reads the NaN that JSON does not have
+            writer.set_custom_data(CUSTOM_DATA, json.dumps(manifest, indent=1, allow_nan=False))
         writer.close()
     except BaseException:
         writer.abort()
         raise
     if manifest is not None:
-        text = json.dumps(manifest, indent=1)
+        text = json.dumps(manifest, indent=1, allow_nan=False)
         (target / FILE_NAME).write_text(text + "\n", encoding="utf-8")
     warnings = tuple(w for w in raw.warnings if "derail repair" not in w)
     return Repaired(target, dict(counts), first, last, warnings, was_whole)
