@@ -226,13 +226,15 @@ def _draw_track(axes: Axes, scene: Scene, window: Window, points_per_metre: floa
         n = np.array([-math.sin(heading), math.cos(heading)])
         ends = np.array([[x, y] - 2.6 * n, [x, y] + 2.6 * n])
         axes.plot(ends[:, 0], ends[:, 1], color=VERMILION, lw=2.6, zorder=6, solid_capstyle="butt")
-        if not (window[0] < x < window[1]):
+        if not (window[0] < x < window[1] and window[2] < y < window[3]):
             continue
-        # The label goes to the edge, clear of the cars.
+        # The label goes to the edge, clear of the cars, and stays within the picture.
         edge = window[2] + 0.035 * (window[3] - window[2])
+        wide = axes.get_position().width * axes.get_figure().get_size_inches()[0]
+        half = 0.45 * (window[1] - window[0]) / wide
         axes.plot([x, x], [y, edge], color=VERMILION, lw=1.0, ls=(0, (1, 2)), zorder=2)
         axes.text(
-            x,
+            min(max(x, window[0] + half), window[1] - half),
             edge,
             "rail break",
             ha="center",

@@ -321,9 +321,12 @@ def _capital(line: str) -> str:
 
 
 def _wrap(line: str, width: int) -> list[str]:
+    import re
     import textwrap
 
-    return textwrap.wrap(line, width) or [""]
+    # A number stays with its unit.
+    tied = re.sub(r"(?<=\d) (?=(?:m|m/s|km/h|s|MN|kN|%|[GMk]?J)\b|%)", "\0", line)
+    return [part.replace("\0", " ") for part in textwrap.wrap(tied, width)] or [""]
 
 
 def _outcome(run: Run) -> list[str]:

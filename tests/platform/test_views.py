@@ -58,3 +58,14 @@ def test_foxglove_shows_fields_that_exist():
         field, index = re.fullmatch(r"(\w+)(\[\d+\])?", field).groups()
         array = r"\[\]" if index else ""
         assert re.search(rf"^\w+{array} +{field} +#", text, re.MULTILINE), path
+    for panel in panels.values():
+        for line in panel.get("paths", []):
+            index = re.search(r"\[(\d+)\]", line["value"])
+            assert index is None or line["label"] == f"car {int(index[1]) + 1}"
+
+
+def test_foxglove_looks_from_above_with_the_train_going_right():
+    """In Foxglove's 2D view an angle theta of 90 degrees would turn x upwards."""
+    layout = json.loads((ROOT / "config" / "derail_ros.foxglove.json").read_text("utf-8"))
+    camera = layout["configById"]["3D!scene"]["cameraState"]
+    assert (camera["perspective"], camera["phi"], camera["thetaOffset"]) == (False, 0, 0)

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
+from derail_ros.engine import Simulation
+from derail_ros.recording import record_run
 from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.review import plots, replay, summary
 from derail_ros.review.bag import read_bag
 from derail_ros.review.figures import final_scene
 from derail_ros.review.sound import RULES
 from derail_ros.review.storage import BagError
+from derail_ros.scenario import load_scenario
 from msg_adapters.definitions import deserialize, field_names, read_copy, serialize
 
 Row = tuple[str, str, int, bytes]
@@ -156,3 +159,15 @@ def test_nan_only_where_the_definitions_allow_it() -> None:
             name = code.split()[-1] if code.split() else ""
             if name in rule.numbers + rule.positive:
                 assert "NaN" not in comment, f"{kind}.{name}"
+
+
+def test_a_body_that_stands_for_cars_is_no_mistake(tmp_path) -> None:
+    """Events tell of the cars that it stands for, beyond the bodies there are."""
+    scenario = load_scenario("mississauga_published").with_overrides(
+        {"integration.time_limit_s": 2.0}
+    )
+    record_run(Simulation(scenario.to_params()), scenario, tmp_path / "bag")
+    run = read_bag(tmp_path / "bag")
+    assert run.n < run.cars.represents.sum()
+    assert run.warnings == ()
+    check(tmp_path / "bag")
