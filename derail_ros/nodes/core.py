@@ -33,6 +33,14 @@ SLACK = 0.010
 """Lateness that is made up for, s; what is beyond slows the run instead."""
 MAX_CARS = 1000
 MAX_YAML = 256 * 1024
+MAX_COMMANDS = 10_000
+"""Commands that a run takes: each is kept, for its repetition."""
+MAX_BREAKS = 1000
+"""Rail breaks of a run: each is looked at in every step, and told with each new one."""
+MAX_TEXT = 1000
+"""Characters of a text of a request, a caller or a reason that are kept: a stranger chose them."""
+MAX_REFUSED = 1000
+"""Refused commands of a run that its manifest lists; the others are counted."""
 IDLE = 0.1
 """Wall time after which the loop looks around even if nothing is due, s."""
 IDLE_MARKERS = 1.0
@@ -303,6 +311,8 @@ class SimulatorCore:
         ``accepted`` differs from ``success`` where a command was carried out in part.
         """
         accepted = success if accepted is None else accepted
+        request = {name: shortened(value) for name, value in request.items()}
+        caller, message = shortened(caller), shortened(message)
         context = self.context
         if time is None:
             time = self.session.time if self.session else 0.0
@@ -324,14 +334,15 @@ class SimulatorCore:
         if not accepted:
             self._pace.refused += 1
             if self.session is not None:
-                self.session.refused.append(
+                self.session.refuse(
                     {
                         "command": command,
-                        "request": dict(request),
+                        "request": request,
                         "reason": message,
                         "step": self.step,
                         "time": time,
-                    }
+                    },
+                    MAX_REFUSED,
                 )
             self.output.log(Level.WARN, f"{command} refused: {message}")
         return Answer(success, message, context.stamp(time), self.step, self.run_id, value)
@@ -501,6 +512,13 @@ class SimulatorCore:
             return self._answer(name, request, caller, False, "no run is loaded")
         # Requests are served between steps: this is the next step boundary.
         moment = float(session.simulation.time)
+        reason = ""
+        if len(session.simulation.commands) >= MAX_COMMANDS:
+            reason = f"the run has had {MAX_COMMANDS} commands, the most it takes"
+        elif name == "inject_rail_break" and len(session.simulation.rail_breaks) >= MAX_BREAKS:
+            reason = f"the track has {MAX_BREAKS} breaks, the most a run takes"
+        if reason:
+            return self._answer(name, request, caller, False, reason, time=moment)
         try:
             result = session.command(name, **arguments)
         except CommandError as error:
@@ -795,6 +813,13 @@ class SimulatorCore:
             self.session.stop()
         self._end_recording()
         self.state = State.QUITTING
+
+
+def shortened(value: Any) -> Any:
+    """A value for logs and manifests: a long text without its end."""
+    if isinstance(value, str) and len(value) > MAX_TEXT:
+        return f"{value[:MAX_TEXT]}... ({len(value)} characters)"
+    return value
 
 
 def state_folder() -> str:

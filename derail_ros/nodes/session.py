@@ -162,6 +162,7 @@ class Session:
         self.sample: Sample = self.simulation.sample()
         self.car_peak: NDArray[np.float64] = np.zeros(len(self.params.cars))
         self.refused: list[dict[str, Any]] = []
+        self.refused_unlisted = 0
         self._kind = kind
         self._emit = emit
         self._record_markers = record_markers
@@ -425,6 +426,13 @@ class Session:
         self._out_happenings(self.simulation.time)
         return result
 
+    def refuse(self, command: dict[str, Any], most: int) -> None:
+        """Keep a refused command for the manifest; beyond ``most`` they are only counted."""
+        if len(self.refused) < most:
+            self.refused.append(command)
+        else:
+            self.refused_unlisted += 1
+
     # --- manifest ----------------------------------------------------------------------------
 
     @property
@@ -446,13 +454,20 @@ class Session:
             scenario=self.prepared.resolved,
             start_time=self.context.base,
             commands=[dataclasses.asdict(command) for command in simulation.commands],
-            refused=list(self.refused),
+            refused=self._refused(),
             status=self.status,
             time=float(simulation.time),
             steps=self.step,
             final_state_hash=simulation.state_hash(),
             outcome=outcome,
         )
+
+    def _refused(self) -> list[dict[str, Any]]:
+        more = self.refused_unlisted
+        last = {"command": "", "request": {}, "reason": f"{more} more, not listed"}
+        return [*self.refused, last | {"step": self.step, "time": self.time}][
+            : len(self.refused) + (more > 0)
+        ]
 
 
 def engine_hash() -> str:

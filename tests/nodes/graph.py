@@ -25,6 +25,9 @@ from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
 LIMIT = 120.0
 """Wall time after which a test gives up waiting, s: generous, for machines that are busy."""
 
+LIMIT_COMPILING = 280.0
+"""The same for the first simulator of a version, which compiles its kernels, s."""
+
 SERVICES = {
     "load_consist": srv.LoadConsist,
     "inject_rail_break": srv.InjectRailBreak,
@@ -142,6 +145,7 @@ class Graph:
                 lambda: self.client("get_events").service_is_ready(),
                 "the simulator serves",
                 process,
+                LIMIT_COMPILING,
             )
         return process
 
@@ -170,9 +174,15 @@ class Graph:
     def spin(self, seconds: float = 0.05) -> None:
         self.executor.spin_once(timeout_sec=seconds)
 
-    def until(self, done: Callable[[], Any], what: str, process: Process | None = None) -> Any:
+    def until(
+        self,
+        done: Callable[[], Any],
+        what: str,
+        process: Process | None = None,
+        limit: float = LIMIT,
+    ) -> Any:
         """Spin until something is true."""
-        end = time.monotonic() + LIMIT
+        end = time.monotonic() + limit
         while True:
             result = done()
             if result:

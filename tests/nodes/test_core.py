@@ -497,6 +497,35 @@ def test_impossible_applications_are_refused(
     assert bench.core.session.time == pytest.approx(0.2, abs=0.03)
 
 
+def test_what_a_stranger_sends_is_kept_short(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("derail_ros.nodes.core.MAX_REFUSED", 3)
+    bench = Bench(record=str(tmp_path / "bag"))
+    bench.load(ENDLESS, paused=True)
+    request = {"scenario_yaml": "y" * 5_000_000}
+    for _ in range(5):
+        refusal = ValueError("no: " + "z" * 10_000)
+        bench.core.load(refusal, request, start_paused=True, caller="c" * 10_000)
+    entry = bench.heard.last("command_log")
+    for text in (json.loads(entry.request_json)["scenario_yaml"], entry.caller, entry.message):
+        assert 1000 < len(text) < 1100 and text.endswith(" characters)")
+    bench.core.close()
+    refused = read_manifest(tmp_path / "bag").run.refused
+    assert len(refused) == 4 and refused[-1]["reason"] == "2 more, not listed"
+    assert len(refused[0]["request"]["scenario_yaml"]) < 1100
+
+
+def test_commands_have_an_end(bench: Bench, monkeypatch) -> None:
+    monkeypatch.setattr("derail_ros.nodes.core.MAX_BREAKS", 2)
+    monkeypatch.setattr("derail_ros.nodes.core.MAX_COMMANDS", 4)
+    bench.load(ENDLESS, paused=True)
+    answers = [bench.core.inject_rail_break(500.0 + k, 0) for k in range(3)]
+    assert [a.success for a in answers] == [True, True, False]
+    assert "2 breaks" in answers[2].message
+    answers = [bench.core.trigger_emergency_brake(0, 0, 0, 9.0) for _ in range(3)]
+    assert [a.success for a in answers] == [True, True, False]
+    assert "4 commands" in answers[2].message
+
+
 def test_brakes_stop_the_train(bench: Bench) -> None:
     bench.load(ENDLESS, paused=True)
     assert bench.core.trigger_emergency_brake(1, 2, 0, 0.5).success
