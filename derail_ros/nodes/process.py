@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
+import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # no POSIX, and no shared memory of this kind
+    fcntl = None  # type: ignore[assignment]
 
 
 class Stop:
@@ -63,6 +72,37 @@ class Interrupted(BaseException):
     """A signal came during work that may be broken off."""
 
 
+SHARED_MEMORY = Path("/dev/shm")
+SEGMENT_LOCK = re.compile(r"(fastdds_[0-9a-f]{16})_el")
+YOUNG = 5.0
+"""A segment of shared memory is left alone for so long: its process may be about to lock it, s."""
+
+
+def sweep_shared_memory(folder: Path = SHARED_MEMORY) -> int:
+    """Remove what killed processes have left of Fast DDS; returns the number of segments.
+
+    Each process holds the lock of its segment (half a megabyte) until it ends, whatever ends it;
+    a segment whose lock is free belongs to nobody. Fast DDS removes it only if another process
+    that has known it lives on.
+    """
+    if fcntl is None or not folder.is_dir():
+        return 0
+    removed = 0
+    for lock in folder.iterdir():
+        found = SEGMENT_LOCK.fullmatch(lock.name)
+        if found is None:
+            continue
+        # Somebody else's, or gone meanwhile: not ours to tidy.
+        with contextlib.suppress(OSError), lock.open("rb") as stream:
+            if time.time() - os.fstat(stream.fileno()).st_mtime < YOUNG:
+                continue
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            (folder / found[1]).unlink(missing_ok=True)
+            lock.unlink()
+            removed += 1
+    return removed
+
+
 def run_node(
     run: Callable[[Stop, Sequence[str]], int], argv: Sequence[str] | None, usage: Callable[[], str]
 ) -> int:
@@ -72,6 +112,7 @@ def run_node(
         print(usage())
         return 0
     stop = Stop()
+    sweep_shared_memory()
     try:
         return run(stop, arguments)
     except Interrupted:

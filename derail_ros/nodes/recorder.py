@@ -75,7 +75,10 @@ def make_node_class() -> Any:
         def abandoned(self) -> bool:
             """Whether there was a simulator, and for a while has been none."""
             now = time.monotonic()
-            if self.listener.empty or any(self.count_publishers(n) for n, _ in self._subscribed):
+            names = [n for n, _ in self._subscribed]
+            # Another simulator elsewhere publishes those of the whole graph too.
+            own = [n for n in names if n not in ("/clock", "/diagnostics")] or names
+            if self.listener.empty or any(self.count_publishers(n) for n in own):
                 self._seen = now
             return now > self._seen + GONE
 

@@ -245,37 +245,53 @@ class LaterService:
 
 
 class ClockGuard:
-    """Decides whether this node may publish ``/clock``: never as the second one."""
+    """Decides whether this node may publish ``/clock``: never as the second one.
+
+    It takes over when the other one is gone: that of a node that was killed is announced for as
+    long as the middleware takes to notice, some 20 s.
+    """
 
     def __init__(self, node: Any, output: Any, wanted: bool) -> None:
         self.node = node
         self.output = output
         self.publishing = False
-        self.decided = not wanted
+        self.wanted = wanted
+        self.yielded = False
         self.warned = False
         self.began = time.monotonic()
         self.looked = self.began
+        self.taken = self.began
 
     def look(self) -> None:
         """Look around, a few times a second while it matters."""
         now = time.monotonic()
         young = now < self.began + CLOCK_PROBATION
-        if self.decided or now < self.looked + (0.1 if young else 1.0):
+        if not self.wanted or now < self.looked + (0.1 if young else 1.0):
             return
         self.looked = now
         others = self.node.count_publishers("/clock") - int(self.publishing)
         if others > 0 and (not self.publishing or (young and self._gives_way())):
-            self.output.close_clock()
-            self.publishing, self.decided = False, True
-            self.node.get_logger().warning(
-                "another node publishes /clock: this one does not (parameter publish_clock)"
-            )
+            self._yield(now)
         elif others > 0 and not young and not self.warned:
             self.warned = True
             self.node.get_logger().warning("another node has begun to publish /clock as well")
-        elif not self.publishing and now > self.began + CLOCK_GRACE:
+        elif not self.publishing and now > self.taken + CLOCK_GRACE:
             self.output.open_clock()
             self.publishing = True
+            if self.yielded:
+                self.node.get_logger().info("the other node is gone: publishing /clock")
+                # As at the start: another one may have seen that at the same time.
+                self.began, self.yielded = now, False
+
+    def _yield(self, now: float) -> None:
+        self.taken = now
+        self.output.close_clock()
+        self.publishing = False
+        if not self.yielded:
+            self.yielded = True
+            self.node.get_logger().warning(
+                "another node publishes /clock: this one does not (parameter publish_clock)"
+            )
 
     def _gives_way(self) -> bool:
         """Of two that began at the same time the one with the larger identity gives way."""
