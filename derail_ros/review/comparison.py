@@ -291,7 +291,5 @@ def _scenes(a: Run, b: Run) -> Figure:
             left, over + 0.11 / height, scene.subtitle, size=9, color="#555555", va="center"
         )
     figures._draw_scale(figure, height, window)
-    figures._draw_key(figure, drawn[1], left, (legend - 0.1) / height, inner / WIDTH)
-    for label in figure.legends[-1].get_texts():
-        label.set_text(label.get_text().split(" (")[0])  # the numbers are those of B only
+    figures._draw_key(figure, drawn, left, (legend - 0.1) / height)
     return figure

@@ -127,7 +127,7 @@ def _final_scene(scene: Scene) -> Figure:
 
     _headline(figure, left, 1.0 - 0.3 / height, scene.title, 60)
     figure.text(left, 1.0 - 0.56 / height, scene.subtitle, size=9.5, color="#555555", va="center")
-    _draw_key(figure, scene, left, (bottom - 0.12) / height, inner / WIDTH)
+    _draw_key(figure, [scene], left, (bottom - 0.12) / height)
 
     if strip:
         below = figure.add_axes(box(0.15, strip_height))
@@ -446,30 +446,29 @@ def _draw_scale(figure: Figure, height: float, window: Window) -> None:
     )
 
 
-def _draw_key(figure: Figure, scene: Scene, left: float, top: float, width: float) -> None:
-    real = scene.represents == 1
-    state = _state(scene)
+def _draw_key(figure: Figure, scenes: Sequence[Scene], left: float, top: float) -> None:
+    """Explain what is in one or several scenes; of one, how many cars of each kind."""
     handles: list[Any] = []
     for k, (label, fill, hatch) in enumerate(STATES):
-        count = int((real & (state == k)).sum())
+        count = sum(int(((s.represents == 1) & (_state(s) == k)).sum()) for s in scenes)
         if count:
-            handles.append(
-                Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=f"{label} ({count})")
-            )
-    if (~real).any():
-        cars = int(scene.represents[~real].sum())
-        handles.append(Patch(fc=STAND_IN, ec=FAINT, ls="--", label=f"one body for {cars} cars"))
+            text = f"{label} ({count})" if len(scenes) == 1 else label
+            handles.append(Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=text))
+    bodies = [int(n) for s in scenes for n in s.represents[s.represents != 1]]
+    if bodies:
+        text = f"one body for {sum(bodies)} cars" if len(scenes) == 1 else "one body for many cars"
+        handles.append(Patch(fc=STAND_IN, ec=FAINT, ls="--", label=text))
     handles.append(
         Line2D(
             [], [], ls="-", color=INK, marker="o", mfc=INK, mec="white", ms=4.5, label="coupled"
         )
     )
-    if not scene.coupled.all():
+    if not all(s.coupled.all() for s in scenes):
         handles.append(
             Line2D([], [], ls="", marker="x", mec=VERMILION, mew=1.5, ms=5.5, label="parted")
         )
     diamond: dict[str, Any] = {"ls": "", "marker": "D", "mfc": VERMILION, "mec": "white", "ms": 5}
-    if np.any(scene.peak_force >= RUPTURE):
+    if any(np.any(s.peak_force >= RUPTURE) for s in scenes):
         handles.append(Line2D([], [], **diamond, label="struck above 5 MN, two: 10 MN"))
     figure.legend(
         handles=handles,

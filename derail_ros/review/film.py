@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from derail_ros.review import figures, words
 from derail_ros.review.figures import INK, STATES, STYLE, VERMILION
@@ -94,6 +95,7 @@ class _Stage:
             va="center",
         )
         self._scale_bar(scale)
+        self._key(1.0 - 0.76 * share, scale)
         self.bodies = [
             self.axes.add_collection(
                 PolyCollection(
@@ -137,6 +139,25 @@ class _Stage:
             )
             for _ in range(4)
         ]
+
+    def _key(self, level: float, scale: float) -> None:
+        """What colours and hatches say."""
+        self.figure.legend(
+            handles=[
+                Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=label)
+                for label, fill, hatch in STATES
+            ],
+            loc="center right",
+            bbox_to_anchor=(0.988, level),
+            bbox_transform=self.figure.transFigure,
+            ncol=len(STATES),
+            frameon=False,
+            fontsize=8.0 * scale,
+            handlelength=1.8,
+            columnspacing=1.2,
+            borderaxespad=0.0,
+            borderpad=0.0,
+        )
 
     def _scale_bar(self, scale: float) -> None:
         wide = self.window[1] - self.window[0]

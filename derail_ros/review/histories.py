@@ -119,7 +119,7 @@ def _plain(values: Any) -> list[Any]:
 
 def _cell(value: Any) -> Any:
     # A text that a spreadsheet would take for a formula is kept a text.
-    if isinstance(value, str) and value[:1] in "=+-@\t\r":
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
         return "'" + value
     return value
 

@@ -253,9 +253,11 @@
       const nx = -Math.sin(b.heading), ny = Math.cos(b.heading), r = Math.max(2.6, 9 / z);
       pen.strokeStyle = palette.mark; pen.lineWidth = 3;
       pen.beginPath(); pen.moveTo(px(b.x - r * nx), py(b.y - r * ny)); pen.lineTo(px(b.x + r * nx), py(b.y + r * ny)); pen.stroke();
-      label(px(b.x), height - 14, "rail break", palette.mark, 12, "600");
+      const x = px(b.x);
+      if (x < 0 || x > width || py(b.y) < 0 || py(b.y) > height) continue;
       pen.setLineDash([2, 4]); pen.lineWidth = 1;
-      pen.beginPath(); pen.moveTo(px(b.x), py(b.y)); pen.lineTo(px(b.x), height - 24); pen.stroke(); pen.setLineDash([]);
+      pen.beginPath(); pen.moveTo(x, py(b.y)); pen.lineTo(x, height - 24); pen.stroke(); pen.setLineDash([]);
+      label(Math.min(Math.max(x, 36), width - 36), height - 14, "rail break", palette.mark, 12, "600");
     }
   }
 
@@ -537,11 +539,10 @@
         line(chart, p, (r) => at("speed", selected, r), rows);
       }, () => `Speed of each car over time; car ${selected + 1} is drawn bold. The table below holds the numbers.`),
       new Chart("chart-force", () => hardest, "MN", (chart, p) => {
-        for (const [value, text] of [[5, "5 MN: has ruptured tank cars"], [10, "10 MN"]]) {
-          if (value > hardest) continue;
+        const limits = [[5, "5 MN: has ruptured tank cars"], [10, "10 MN"]].filter(([value]) => value <= hardest);
+        for (const [value] of limits) {
           p.strokeStyle = palette.subtle; p.setLineDash([6, 4]); p.beginPath();
           p.moveTo(M.left, chart.y(value)); p.lineTo(chart.w - M.right, chart.y(value)); p.stroke(); p.setLineDash([]);
-          p.fillStyle = palette.subtle; p.textAlign = "right"; p.textBaseline = "bottom"; p.fillText(text, chart.w - M.right, chart.y(value) - 1);
         }
         for (const c of data.contacts) {
           const mine = chosenByUser && (c.a === selected + 1 || c.b === selected + 1);
@@ -551,6 +552,11 @@
           p.beginPath();
           if (mine) p.rect(x - 4, y - 4, 8, 8); else p.arc(x, y, 2.6, 0, 7);
           p.fill();
+        }
+        p.textAlign = "right"; p.textBaseline = "bottom"; p.lineJoin = "round"; p.lineWidth = 3;
+        for (const [value, text] of limits) {
+          p.strokeStyle = palette.halo; p.strokeText(text, chart.w - M.right, chart.y(value) - 2);
+          p.fillStyle = palette.subtle; p.fillText(text, chart.w - M.right, chart.y(value) - 2);
         }
       }, () => `Largest corner force of each of ${data.contacts.length} collisions, at its time. The table below holds the numbers.`),
       new Chart("chart-derailed", () => Math.max(4, offTimes.length * 1.1), "cars", (chart, p) => {

@@ -213,7 +213,12 @@ def _open_folder(path: Path) -> RawBag:
     if len(kinds) != 1:
         raise NotABagError(f"{path}: {reason}, and no file in it is a recording")
     storage = str(kinds.pop())
-    return _open_files(path, [f for f in files if storage_of(f) == storage], storage, reason)
+    sound = [f for f in files if storage_of(f) == storage]
+    bag = _open_files(path, sound, storage, reason)
+    for file in files:
+        if file not in sound:
+            bag.warn(f"{file.name} is no recording: left out")
+    return bag
 
 
 def _looks_like_bag(path: Path) -> bool:

@@ -160,6 +160,16 @@ def rows_of(bag: Path):
         return [(c.topic, c.msgtype, t, bytes(d)) for c, t, d in reader.messages()]
 
 
+def test_a_stray_file_beside_a_recording_is_told(run, bag, tmp_path) -> None:
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    shutil.copyfile(next(bag.glob("*.mcap")), folder / "a.mcap")
+    (folder / "b.mcap").write_text("something else")
+    found = read_bag(folder)
+    assert found.run_id == run.run_id
+    assert any("b.mcap is no recording" in w for w in found.warnings)
+
+
 def test_other_topics_are_told(tmp_path) -> None:
     text = typestore().types["std_msgs/msg/String"]("hello")
     data = bytes(typestore().serialize_cdr(text, "std_msgs/msg/String"))

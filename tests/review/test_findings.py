@@ -240,6 +240,7 @@ def test_texts_that_look_like_formulas_stay_texts(run, tmp_path) -> None:
     with (tmp_path / "consist.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [r["name"] for r in rows[:2]] == ["'=1+1", "'@x"]
+    assert [r["contents"] for r in rows] == list(run.cars.contents), "no text is no formula"
 
 
 def test_another_format_is_refused(bag, tmp_path, capsys) -> None:
@@ -283,6 +284,16 @@ def test_differences_are_found(run, tmp_path) -> None:
         {"path": "title", "first": run.scenario["title"], "second": "another"}
     ]
     figures.save(comparison.scenes(run, other), tmp_path / "scenes.png", dpi=50)
+
+
+def test_the_key_of_two_scenes_explains_both(run) -> None:
+    """A state that only one of them shows is in it too."""
+    calm = replace(run, truck_on=np.ones_like(run.truck_on), coupled=np.ones_like(run.coupled))
+    for pair in ((run, calm), (calm, run)):
+        figure = comparison.scenes(*pair)
+        labels = {t.get_text() for t in figure.legends[-1].get_texts()}
+        assert {"on the rails", "derailed, uncoupled", "parted"} <= labels
+        assert not any("(" in label for label in labels), "numbers would be of one only"
 
 
 def test_compare_command(bag, sqlite_bag, tmp_path, capsys) -> None:
