@@ -7,6 +7,8 @@ regular times of the state messages.
 
 from __future__ import annotations
 
+import heapq
+import math
 import os
 import time
 from collections.abc import Mapping
@@ -25,6 +27,8 @@ from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
 
 HOLD = 2.0
 """Wall time for which other messages wait for the latched ones, s."""
+ORDER = 0.25
+"""Wall time for which messages wait for earlier ones of other topics, s."""
 STRAGGLERS = 2.0
 """Wall time for which an old recording stays open for what comes late, s."""
 BACKWARD = NANOSECONDS
@@ -38,8 +42,8 @@ IDLE_TOPICS = ("/diagnostics", "/clock", "markers")
 def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
     """Simulation time of a serialised message, ns."""
     if topic.msgtype == "visualization_msgs/msg/MarkerArray":
-        # A count, then markers that begin with a header.
-        return stamp_of_bytes(data[4:16]) if len(data) > 24 else otherwise
+        # After the encapsulation a count, then markers that begin with a header.
+        return stamp_of_bytes(data[:4] + data[8:16]) if len(data) > 24 else otherwise
     if topic is MANIFEST:
         return otherwise
     return stamp_of_bytes(data)
@@ -111,6 +115,8 @@ class _Bag:
         self._awaited = {n for n, t in topics.items() if t.name in ("consist", "track")}
         self._held: list[tuple[str, int, bytes]] | None = []
         self._hold_until: float | None = None
+        self._waiting: list[tuple[int, int, float, str, bytes]] = []
+        self._taken = 0
 
     def write(self, name: str, stamp: int, data: bytes, now: float) -> None:
         """Write a message, or hold it back until the latched topics have come."""
@@ -122,21 +128,32 @@ class _Bag:
             self.last_stamp = max(self.last_stamp, stamp)
         self._note(topic.name, data)
         if self._held is None:
-            self.recorder.write(name, stamp, data)
-            return
-        if self._hold_until is None:
-            self._hold_until = now + HOLD
-        self._held.append((name, stamp, data))
+            self._queue(name, stamp, data, now)
+        else:
+            if self._hold_until is None:
+                self._hold_until = now + HOLD
+            self._held.append((name, stamp, data))
         self.release(now)
 
     def release(self, now: float) -> None:
-        """Write what was held back, latched topics first, once they have come or time is up."""
-        if self._held is None or self._hold_until is None:
-            return
-        if self._awaited <= {name for name, _, _ in self._held} or now >= self._hold_until:
-            held, self._held = self._held, None
-            for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
-                self.recorder.write(*message)
+        """Write what has waited long enough: first the latched topics, then by time."""
+        if self._held is not None and self._hold_until is not None:
+            if self._awaited <= {name for name, _, _ in self._held} or now >= self._hold_until:
+                held, self._held = self._held, None
+                for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
+                    self._queue(*message, now)
+        self._write_until(now - ORDER)
+
+    def _queue(self, name: str, stamp: int, data: bytes, now: float) -> None:
+        """Put a message in its place; those of equal times stay in the order they came in."""
+        self._taken += 1
+        heapq.heappush(self._waiting, (stamp, self._taken, now, name, data))
+
+    def _write_until(self, moment: float) -> None:
+        """Write what came before a moment (wall time), and what is earlier than that."""
+        while self._waiting and self._waiting[0][2] <= moment:
+            stamp, _, _, name, data = heapq.heappop(self._waiting)
+            self.recorder.write(name, stamp, data)
 
     def _run(self, run_id: str) -> RunEntry | None:
         return next((run for run in self.manifest.runs if run.run_id == run_id), None)
@@ -201,6 +218,7 @@ class _Bag:
         if self._held:
             self._hold_until = 0.0
             self.release(0.0)
+        self._write_until(math.inf)
         self.manifest.settings["missed"] = self.report()
         self.recorder.close(self.manifest)
 

@@ -77,6 +77,9 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
             20_000_000 * k for k in range(len(first[f"/{name}"]))
         ]
     assert "/markers" in first and "/diagnostics" in first
+    last = first["/train_state"][-1][0]
+    for name, messages in first.items():
+        assert all(0 <= stamp <= last for stamp, _ in messages), name
     heard_run, own_run = read_manifest(tmp_path / "heard").run, read_manifest(tmp_path / "own").run
     assert heard_run.run_id == own_run.run_id
     assert heard_run.scenario == own_run.scenario
