@@ -137,11 +137,15 @@ class _Bag:
 
     def release(self, now: float) -> None:
         """Write what has waited long enough: first the latched topics, then by time."""
-        if self._held is not None and self._hold_until is not None:
-            if self._awaited <= {name for name, _, _ in self._held} or now >= self._hold_until:
-                held, self._held = self._held, None
-                for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
-                    self._queue(*message, now)
+        held, until = self._held, self._hold_until
+        if (
+            held is not None
+            and until is not None
+            and (now >= until or self._awaited <= {name for name, _, _ in held})
+        ):
+            self._held = None
+            for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
+                self._queue(*message, now)
         self._write_until(now - ORDER)
 
     def _queue(self, name: str, stamp: int, data: bytes, now: float) -> None:
