@@ -114,11 +114,12 @@ lint: env  ## ruff (lint and format) and mypy
 test: lint  ## everything that must hold, within minutes
 	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
 
-REPEATS ?= 3
-verify: env  ## the slow tests, and those with a ROS graph REPEATS times
+REPEATS ?= 10
+verify: env  ## the slow tests; those with a ROS graph REPEATS times, and on Jazzy's wheels
 	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m slow --timeout 3600 $(PYTEST_ARGS)
 	for i in $$(seq $(REPEATS)); do \
 	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "ros and not slow" $(PYTEST_ARGS); done
+	@if [ "$(ROS)" != 0 ]; then $(TEST_ENVIRONMENT) $(BIN)/python .ci/jazzy.py; fi
 
 bench: env  ## measure, and print the tables of the documentation
 	@$(BIN)/python -c 'import mujoco, pymunk, exudyn' 2>/dev/null || { \

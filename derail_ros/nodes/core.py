@@ -27,6 +27,9 @@ from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
 from msg_adapters.topics import TRANSFORMS
 
+EARLY = 0.002
+"""Clock and markers that are due so soon go out with what is due now: each time that the loop
+wakes up costs more than they do, s."""
 SLICE = 0.008
 """Wall time of physics after which requests get their turn, s."""
 SLACK = 0.010
@@ -720,7 +723,7 @@ class SimulatorCore:
         return f"nowhere: {last}"
 
     def _work_clock(self, now: float) -> float:
-        if now >= self._due.clock:
+        if now >= self._due.clock - EARLY:
             self.output.publish("/clock", serialize(reports.clock(self.stamp)))
             period = 1.0 / self.settings.clock_rate
             self._due.clock += period
@@ -733,7 +736,9 @@ class SimulatorCore:
         rate = self.settings.marker_rate
         if rate <= 0.0 or self.session is None:
             return math.inf
-        if now >= self._due.markers and (self._markers_fresh or now >= self._due.idle_markers):
+        if now >= self._due.markers - EARLY and (
+            self._markers_fresh or now >= self._due.idle_markers
+        ):
             self.output.publish("markers", self.session.markers(reset=self._markers_reset > 0))
             self._markers_reset = max(0, self._markers_reset - 1)
             self._markers_fresh = False

@@ -48,6 +48,8 @@ RETIRED_MOST = 8
 """Publishers of old runs that a topic keeps at most, for subscribers that never answer."""
 LISTENERS_WAIT = 10.0
 """Wall time for which the first run waits for listeners (parameter await_listeners), s."""
+QUIET = 0.015
+"""Wall time between two rounds of the executor in which nothing comes, s."""
 EXIT_WAIT = 5.0
 """Wall time for which the end waits until everything has arrived, s."""
 
@@ -85,7 +87,18 @@ class NodeOutput:
         }
 
     def _publisher(self, topic: Topic) -> Any:
-        return self.node.create_publisher(rclpy_class(topic.msgtype), topic.name, rclpy_qos(topic))
+        from rclpy.event_handler import PublisherEventCallbacks
+        from rclpy.qos_overriding_options import QoSOverridingOptions
+
+        # Without handlers that tell of QoS which does not match: the executor looks at each of
+        # them in each round, half of its cost. Subscribers are told on their side.
+        return self.node.create_publisher(
+            rclpy_class(topic.msgtype),
+            topic.name,
+            rclpy_qos(topic),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
 
     def open_clock(self) -> None:
         """Begin to publish the clock."""
@@ -553,6 +566,23 @@ def make_node_class() -> Any:
     return SimulatorNode
 
 
+def listen(executor: Any, due: float, quiet: float) -> float:
+    """Serve a request if there is one, until something is due; both are wall times.
+
+    A round of the executor costs as much as publishing a whole tick. After one in which nothing
+    came the next waits until ``quiet``; returns when that is.
+    """
+    now = time.monotonic()
+    if now < min(due, quiet):
+        time.sleep(min(due, quiet) - now)
+        now = time.monotonic()
+        if now >= due:
+            return quiet
+    executor.spin_once(timeout_sec=max(0.0, due - now))
+    came = time.monotonic() < due
+    return 0.0 if came else now + QUIET
+
+
 def _run(stop: Stop, arguments: Sequence[str]) -> int:
     def warm_up() -> None:
         from derail_ros.engine import warm_up as compile_kernels
@@ -570,6 +600,7 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
         node = make_node_class()(executor.wake)
     executor.add_node(node)
     code = 0
+    quiet = 0.0
     try:
         node.get_logger().info("loading the kernels (they are compiled once a version)")
         stop.during(warm_up)
@@ -584,7 +615,7 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
             if node.auto_exit and core.finished:
                 code = 1 if core.session.failure else 0
                 break
-            executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
+            quiet = listen(executor, due, quiet)
         # Answers that are ready still go out.
         for _ in range(3):
             executor.spin_once(timeout_sec=0.0)

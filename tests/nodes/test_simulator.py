@@ -15,6 +15,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("derail_msgs")
 
+from rclpy.qos import ReliabilityPolicy
+
 from derail_ros.nodes.parameters import SIMULATOR
 from derail_ros.recording import read_manifest
 from msg_adapters.common import stamp_of
@@ -383,6 +385,38 @@ def test_a_second_simulator_does_not_publish_the_clock(fresh: Graph) -> None:
 
 
 # --- processes of their own ------------------------------------------------------------------
+
+
+def test_quality_of_service_names_and_namespaces_can_be_changed(tmp_path) -> None:
+    """Two simulators side by side, one of them remapped and with another QoS."""
+    with graph(tmp_path) as made:
+        made.simulator("-r", "__ns:=/north", ready=False, scenario="base_train")
+        made.simulator(
+            *("-r", "__ns:=/south", "-r", "train_state:=states", "-r", "__node:=engine"),
+            *("-p", "qos_overrides./south/states.publisher.depth:=77"),
+            *("-p", "qos_overrides./south/states.publisher.reliability:=best_effort"),
+            ready=False,
+            scenario="base_train",
+            speed_factor=2.0,
+        )
+        made.listen("train_state", namespace="/north")
+        made.until(lambda: made.heard["train_state"], "the northern one runs")
+        find = lambda: made.node.get_publishers_info_by_topic("/south/states")  # noqa: E731
+        made.until(find, "the southern one runs")
+        (info,) = find()
+        assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        assert info.node_name == "engine" and info.node_namespace == "/south"
+        assert not made.node.get_publishers_info_by_topic("/south/train_state")
+        answer = made.ask("reset_simulation", node="/south/engine")
+        assert answer.success
+        # Per-run publishers keep to it too, and the other one knows nothing of it.
+        made.until(lambda: made.node.count_publishers("/south/outcome"), "the next run")
+        run = made.heard["train_state"][-1].run_id
+        made.until(lambda: made.heard["train_state"][-1].time > 1.0, "the northern one goes on")
+        assert made.heard["train_state"][-1].run_id == run != answer.run_id
+        for process in made.processes:
+            assert process.end() == 0, process.output
+            assert "Traceback" not in process.output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
