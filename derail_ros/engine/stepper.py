@@ -23,6 +23,7 @@ from derail_ros.engine.dynamics import (
     project_velocities,
 )
 from derail_ros.engine.events import EventKind
+from derail_ros.engine.features import cubic_root, first_change, first_kink
 from derail_ros.engine.forces import coupler_energy, kinetic_energy
 from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
 from derail_ros.engine.neighbours import (
@@ -114,27 +115,6 @@ def next_switch(model: Model, state: State, t: float) -> float:
 
 
 @inner_jit
-def _cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
-    """Where in (0, 1] the cubic with values g0 <= 0 < g1 and slopes d0, d1 crosses zero."""
-    lo = 0.0
-    hi = 1.0
-    for _ in range(60):
-        x = 0.5 * (lo + hi)
-        y = 1.0 - x
-        g = (
-            g0 * (1.0 + 2.0 * x) * y * y
-            + d0 * x * y * y
-            + g1 * x * x * (3.0 - 2.0 * x)
-            - d1 * x * x * y
-        )
-        if g > 0.0:
-            hi = x
-        else:
-            lo = x
-    return hi
-
-
-@inner_jit
 def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
     """Speed of a truck along the track, m/s (normal in ``wk``; the car's cos and sin)."""
     base = L.W_TF if k == 0 else L.W_TR
@@ -180,7 +160,7 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
                     * h
                     * _truck_speed(model, wk, work.stage_v, i, k, wk[i, L.W_CT], wk[i, L.W_ST])
                 )
-                share = min(share, _cubic_root(g0, d0, g1, d1))
+                share = min(share, cubic_root(g0, d0, g1, d1))
         if i < state.q.shape[0] - 1 and state.coupled[i]:
             n0 = state.q[i, 4] - state.q[i + 1, 3]
             n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
@@ -190,7 +170,7 @@ def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
             if g1 > LOCATED and g0 <= 0.0:
                 d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
                 d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
-                share = min(share, _cubic_root(g0, d0, g1, d1))
+                share = min(share, cubic_root(g0, d0, g1, d1))
     return share
 
 
@@ -563,6 +543,8 @@ def step(model: Model, state: State, work: Work) -> int:
                 )
         if verdict == 0 and par[L.LOCATE] != 0.0:
             share = first_crossing(model, state, work, h)
+            share = min(share, first_change(model, state, work, h))
+            share = min(share, first_kink(model, state, work, h))
             # a truck that stands on the break derails within the smallest step
             located = max(share * h, floor)
             if share < 1.0 and located < h:

@@ -433,9 +433,10 @@ def test_a_collision_as_an_event():
     assert c.start == t[above[0]]
     below = np.flatnonzero((resultant < 5e3) & (t > c.peak_time))[0]
     assert c.end == t[below]
-    assert c.peak_corner_force == corner.max()
-    assert c.peak_time == t[corner.argmax()]
-    assert c.peak_resultant == resultant.max()
+    # the peak lies between two steps
+    assert corner.max() <= c.peak_corner_force < 1.001 * corner.max()
+    assert c.peak_time == pytest.approx(t[corner.argmax()], abs=1e-3)
+    assert resultant.max() <= c.peak_resultant < 1.001 * resultant.max()
     assert c.closing_speed == pytest.approx(6.0, abs=0.02)
     assert c.angle == pytest.approx(0.0, abs=0.1)
     # the force on the striking car points back

@@ -136,6 +136,21 @@ def test_default_agrees_with_the_reference_up_to_the_first_contact(name):
     assert np.array_equal(got.coupled, want.coupled)
 
 
+def test_default_follows_the_reference_through_contacts():
+    # the force jumps where a corner passes the end of a wall, and strikers have kinks: steps that
+    # go over them are ten times as far off, whatever the tolerance
+    params = load_scenario_by_name("mississauga_published").to_params()
+    run, exact = (
+        Simulation(params),
+        Simulation(with_integration(params, method="rkf45", rtol=1e-9, buffer_fraction=0.02)),
+    )
+    for until, off in ((2.5, 1e-4), (4.5, 4e-3), (7.0, 1e-2)):
+        for s in (run, exact):
+            s.advance_to(until)
+        assert np.abs(run.sample(until).q - exact.sample(until).q)[:, :3].max() < off
+    assert len(exact.collisions) > 12
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["base_train", "mississauga_published"])
 def test_default_agrees_with_the_reference_in_distribution(name):
@@ -160,5 +175,7 @@ def test_default_agrees_with_the_reference_in_distribution(name):
             f"{name} {quantity}: {a.mean():.4g} +- {a.std():.2g}, "
             f"reference {b.mean():.4g} +- {b.std():.2g}"
         )
-        assert ks_2samp(a, b).pvalue > 0.005, quantity
+        # half of the runs have the same peak: what differs by less than 1 % is the same
+        grain = 0.01 * b.mean()
+        assert ks_2samp(np.round(a / grain), np.round(b / grain)).pvalue > 0.005, quantity
     assert replace(scenario).integration.method == "row"
