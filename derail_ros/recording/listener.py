@@ -128,11 +128,12 @@ class _Bag:
             self.last_stamp = max(self.last_stamp, stamp)
         self._note(topic.name, data)
         if self._held is None:
+            # Taking is quick, so that no publisher runs ahead; writing is done in release.
             self._queue(name, stamp, data, now)
-        else:
-            if self._hold_until is None:
-                self._hold_until = now + HOLD
-            self._held.append((name, stamp, data))
+            return
+        if self._hold_until is None:
+            self._hold_until = now + HOLD
+        self._held.append((name, stamp, data))
         self.release(now)
 
     def release(self, now: float) -> None:

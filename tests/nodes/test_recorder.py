@@ -86,7 +86,8 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
         assert [stamp for stamp, _ in first[f"/{name}"]] == [
             20_000_000 * k for k in range(len(first[f"/{name}"]))
         ]
-    assert "/markers" in first and "/diagnostics" in first
+    # Diagnostics come once a second of wall time: not in every run as short as this.
+    assert "/markers" in first
     last = first["/train_state"][-1][0]
     for name, messages in first.items():
         assert all(0 <= stamp <= last for stamp, _ in messages), name
