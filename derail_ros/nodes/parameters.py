@@ -307,13 +307,14 @@ def declare(node: Any, table: Iterable[Parameter]) -> dict[str, Value]:
         With the name of the parameter and the reason.
     """
     from rclpy.exceptions import ParameterException
-    from rclpy.parameter import Parameter as RosParameter
 
     values: dict[str, Value] = {}
     for parameter in table:
         default: Any = parameter.default
         if default == []:
-            default = RosParameter.Type.STRING_ARRAY
+            # An empty list has no type in ROS, and one parameter without a value makes
+            # `ros2 param dump` come out empty.
+            default = [""]
         overrides = getattr(node, "_parameter_overrides", {})
         given = overrides.get(parameter.name)
         if given is not None:
@@ -328,8 +329,10 @@ def declare(node: Any, table: Iterable[Parameter]) -> dict[str, Value]:
 
 
 def _plain(value: Any) -> Any:
-    """A value without the array types of ``rclpy``."""
-    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
+    """A value without the array types of ``rclpy``; a list without empty texts."""
+    if hasattr(value, "__iter__") and not isinstance(value, str):
+        return [entry for entry in value if entry != ""]
+    return value
 
 
 def check_change(parameters: Iterable[Any], table: Iterable[Parameter]) -> dict[str, Value]:

@@ -153,6 +153,7 @@ def main() -> None:
         future = clients[service].call_async(request)
         executor.spin_until_future_complete(future, timeout_sec=60.0)
         if not future.done():
+            print(f"no answer: {service} {fields!r:.200}")
             break
         answered += 1
         if future.result().success:

@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("derail_msgs")
 
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import ReliabilityPolicy
 
 from derail_ros.nodes.parameters import SIMULATOR
@@ -327,6 +328,15 @@ def test_parameters_change_or_say_why_not(fresh: Graph) -> None:
     for parameter in SIMULATOR:
         told = fresh.describe_parameter(parameter.name)
         assert told.read_only == parameter.read_only and told.description
+
+
+def test_all_parameters_together_have_values(fresh: Graph) -> None:
+    """One without would make `ros2 param dump` come out empty."""
+    names = [parameter.name for parameter in SIMULATOR]
+    request = GetParameters.Request(names=names)
+    values = fresh._parameters(GetParameters, "get_parameters", request).values
+    assert len(values) == len(names) and all(value.type for value in values)
+    assert fresh.get_parameter("scenario_dirs") == [""]
 
 
 def test_another_speed(fresh: Graph) -> None:
