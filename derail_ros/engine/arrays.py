@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
+from derail_ros.engine import packs
 from derail_ros.engine.laws.ground import BODY_POINTS
 
 F64 = NDArray[np.float64]
@@ -110,6 +111,9 @@ class Work(NamedTuple):
     active: I64  # (1 + P,) number and rows of the pairs that may touch for now
     placed: F64  # (N, 3) poses when that list was made
 
+
+for kind in (Model, State, Work):
+    packs.register(kind)
 
 SLOPES = 8
 """Room for the stages of a method and the slope at its end."""
