@@ -1,7 +1,7 @@
 """Named tuples of arrays that kernels hand on as one pointer.
 
-numba spreads a tuple over the arguments of every call: of the three tuples of a run that makes some
-seven hundred values a call, most of them for the compiler to move around. Registered here, a
+numba spreads a tuple over the arguments of every call: of the three tuples of a run that makes
+some seven hundred values a call, most of them for the compiler to move around. Registered here, a
 named tuple of arrays becomes a pointer to the descriptors of its arrays, which stay where the
 Python entry of the outermost kernel has put them. Attributes read as before.
 """
@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.imputils import impl_ret_borrowed
+from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
     infer_getattr,
@@ -21,7 +23,6 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-from numba.core.typing.templates import AttributeTemplate
 
 
 class Pack(types.Type):
@@ -40,8 +41,6 @@ class PackModel(models.OpaqueModel):
 
 def _descriptors(context: Any, pack: Pack) -> Any:
     """LLVM type of the descriptors of all arrays, one after the other."""
-    from llvmlite import ir
-
     return ir.LiteralStructType([context.get_value_type(kind) for kind in pack.fields.values()])
 
 
@@ -56,7 +55,12 @@ def unbox_pack(typ: Pack, obj: Any, c: Any) -> NativeValue:
         with c.builder.if_then(native.is_error, likely=False):
             c.builder.store(cgutils.true_bit, failed)
         c.builder.store(native.value, cgutils.gep_inbounds(c.builder, place, 0, k))
-    pointer = c.builder.bitcast(place, cgutils.voidptr_t)
+    # What comes out of the (empty) assembly depends on the stores above: no read that is marked as
+    # invariant can move before them, even where the kernel is inlined here.
+    pointer = c.builder.asm(
+        ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t]),
+        "", "=r,0,~{memory}", [c.builder.bitcast(place, cgutils.voidptr_t)], side_effect=True,
+    )  # fmt: skip
     return NativeValue(pointer, is_error=c.builder.load(failed))
 
 
@@ -75,8 +79,7 @@ def get_array(context: Any, builder: Any, typ: Pack, value: Any, attr: str) -> A
     """Read an array's descriptor.
 
     It does not change while kernels run, whatever they write: the reads are marked as invariant,
-    so that none stays in a loop. Kernels that Python calls must therefore not be inlined into
-    their entry, which writes it (``keep_separate``).
+    so that none stays in a loop.
     """
     kind = typ.fields[attr]
     k = list(typ.fields).index(attr)

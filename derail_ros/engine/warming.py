@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 import threading
 import time
@@ -103,10 +104,7 @@ def remove_stale(root: Path, keep: Path, older_than: float = STALE_AFTER) -> lis
     return removed
 
 
-def _exercise() -> None:
-    """Run a train of three cars for a moment, through every kernel a run uses."""
-    from derail_ros.engine.simulation import Simulation
-
+def _small_train() -> TrainParams:
     coupler = CouplerType("F79", "F", 1.092, 0.788, 0.170, 3.15e6)
     cars = tuple(
         Car(
@@ -122,11 +120,82 @@ def _exercise() -> None:
         )
         for i in range(3)
     )
-    run = Simulation(TrainParams(cars=cars, initiation=InitiationParams(speed=10.0)))
+    return TrainParams(cars=cars, initiation=InitiationParams(speed=10.0))
+
+
+def _exercise(before_steps: Callable[[], object] = lambda: None) -> None:
+    """Run a train of three cars for a moment, through every kernel a run uses."""
+    from derail_ros.engine.simulation import Simulation
+
+    run = Simulation(_small_train())
+    before_steps()
     run.advance_to(0.01)
     run.sample()
     run.sample(0.5 * (run.previous_time + run.time))
     run.outcome()
+
+
+def compile_stepping() -> None:
+    """Compile the parts of ``advance`` that evaluate no forces."""
+    from numba import float64, typeof
+
+    from derail_ros.engine import features, neighbours, stepper
+    from derail_ros.engine.arrays import make_work
+    from derail_ros.engine.build import build_model, initial_state
+    from derail_ros.engine.track import Track
+
+    params = _small_train()
+    track = Track(params.track)
+    model = build_model(params, track)
+    state = initial_state(params, model, track)
+    m, s = typeof(model), typeof(state)
+    w = typeof(make_work(len(params.cars), len(state.pairs), 64, False))
+    for kernel, types in (
+        (neighbours.track_contacts, (m, s, w, float64, float64)),
+        (stepper.remove_constraints, (m, s, w)),
+        (neighbours.rebuild, (m, s, w)),
+        (stepper.note_progress, (m, s, w)),
+        (features.first_change, (m, s, w, float64)),
+        (features.first_kink, (m, s, w, float64)),
+        (stepper.first_crossing, (m, s, w, float64)),
+        (neighbours.refresh_active, (m, s, w)),
+        (stepper.first_overload, (m, s, w)),
+        (stepper.keep_last, (s,)),
+        (stepper.keep_forces, (s, w)),
+        (stepper.energy_residual, (m, s)),
+        (stepper.next_switch, (m, s, float64)),
+    ):
+        kernel.compile(types)
+
+
+@contextmanager
+def _second_process() -> Iterator[Callable[[], object]]:
+    """Compile the stepping beside the forces; gives what waits for it.
+
+    The second process leaves what it compiled in the cache. What it did not is compiled here.
+    """
+    if (os.cpu_count() or 1) < 2:
+        yield lambda: None
+        return
+    code = (
+        f"import sys; sys.path[:] = {sys.path!r}\n"
+        "from derail_ros.engine import warming\n"
+        "warming._ready.set(); warming.compile_stepping()"
+    )
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    except OSError:
+        yield lambda: None
+        return
+    try:
+        yield process.wait
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
 
 
 def _compile(say: Callable[[str], None]) -> None:
@@ -136,7 +205,8 @@ def _compile(say: Callable[[str], None]) -> None:
             return
         say(f"compiling the kernels for this machine, once (about half a minute; {CACHE_DIR})")
         began = time.perf_counter()
-        _exercise()
+        with _second_process() as wait:
+            _exercise(wait)
         say(f"compiled in {time.perf_counter() - began:.0f} s")
         try:
             marker.touch()

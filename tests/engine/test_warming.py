@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_messages_only_when_compiling(folder, monkeypatch, capsys):
     compiled = []
-    monkeypatch.setattr(warming, "_exercise", lambda: compiled.append(1))
+    monkeypatch.setattr(warming, "_exercise", lambda wait: compiled.append(1))
     warming.ensure_compiled()
     said = capsys.readouterr()
     assert said.out == ""
@@ -52,7 +52,7 @@ def test_a_second_process_waits_and_does_not_compile(folder, monkeypatch):
         "time.sleep(0.5)\n"
         "(folder / 'complete').touch()\n"
     )
-    monkeypatch.setattr(warming, "_exercise", lambda: pytest.fail("compiled"))
+    monkeypatch.setattr(warming, "_exercise", lambda wait: pytest.fail("compiled"))
     other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     with other:
         assert other.stdout.readline() == "held\n"
@@ -64,7 +64,7 @@ def test_a_second_process_waits_and_does_not_compile(folder, monkeypatch):
 def test_a_folder_that_cannot_be_written(folder, monkeypatch):
     compiled = []
     monkeypatch.setattr(warming, "CACHE_DIR", folder / "missing")
-    monkeypatch.setattr(warming, "_exercise", lambda: compiled.append(1))
+    monkeypatch.setattr(warming, "_exercise", lambda wait: compiled.append(1))
     warming.ensure_compiled(lambda text: None)
     assert compiled == [1]
 
@@ -91,3 +91,25 @@ def test_stale_folders_go_unless_in_use(tmp_path):
     assert {f.name for f in tmp_path.iterdir()} == {
         "something else", *(f"{FOLDER_PREFIX}{name}" for name in ("own", "held", "recent"))
     }  # fmt: skip
+
+
+def test_the_second_process_compiles_what_the_first_then_uses(tmp_path):
+    # signatures that `advance` does not call with would be compiled for nothing
+    code = (
+        "from derail_ros.engine import stepper, features, neighbours, warming\n"
+        "warming._ready.set()\n"
+        "warming.compile_stepping()\n"
+        "warming._exercise()\n"
+        "for kernel in (neighbours.track_contacts, stepper.remove_constraints,\n"
+        "        neighbours.rebuild, stepper.note_progress, features.first_change,\n"
+        "        features.first_kink, stepper.first_crossing, stepper.first_overload):\n"
+        "    assert len(kernel.signatures) == 1, kernel\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+
+def test_one_core_compiles_alone(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: pytest.fail("a second process"))
+    with warming._second_process() as wait:
+        wait()
