@@ -51,6 +51,8 @@ LISTENERS_WAIT = 10.0
 """Wall time for which the first run waits for listeners (parameter await_listeners), s."""
 QUIET = 0.015
 """Wall time between two rounds of the executor in which nothing comes, s."""
+FIRST_WAIT = 5.0
+"""Wall time for which the first run waits until its first messages have arrived, s."""
 EXIT_WAIT = 5.0
 """Wall time for which the end waits until everything has arrived, s."""
 
@@ -426,6 +428,11 @@ def make_node_class() -> Any:
                 self.get_logger().warning("await_listeners: they did not come")
             load, self._first = self._first, None
             load()
+            if self._listeners and not missing:
+                # Matched here, a subscriber may not have matched there yet: its first messages
+                # come again until it has, but only as many as the depth. So the run waits.
+                self.output.settle(FIRST_WAIT)
+                self.core.pace_changed()
 
         # --- the loop ------------------------------------------------------------------------
 

@@ -412,7 +412,8 @@ def test_quality_of_service_names_and_namespaces_can_be_changed(tmp_path) -> Non
         made.listen("train_state", namespace="/north")
         made.until(lambda: made.heard["train_state"], "the northern one runs")
         find = lambda: made.node.get_publishers_info_by_topic("/south/states")  # noqa: E731
-        made.until(find, "the southern one runs")
+        # Discovery tells of a publisher before it knows its node.
+        made.until(lambda: [i for i in find() if i.node_name == "engine"], "the southern one runs")
         (info,) = find()
         assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
         assert info.node_name == "engine" and info.node_namespace == "/south"
