@@ -11,6 +11,7 @@ import numpy as np
 
 from derail_ros.engine.events import Collision, Event, EventKind
 from derail_ros.engine.params import DerailmentParams, TrainParams
+from derail_ros.review.severity import severity
 from msg_adapters.common import RunContext, header, time_message
 from msg_adapters.definitions import message_class
 
@@ -418,7 +419,7 @@ def outcome(
         energy_initial=float(result.energy_initial),
         energy_residual=residual * float(result.energy_initial),
         energy_residual_relative=residual,
-        severity=math.nan,
+        severity=severity(result),
     )
 
 

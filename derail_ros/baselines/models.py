@@ -95,6 +95,7 @@ def blank_record() -> Record:
         "scene_length_m": None,
         "scene_width_m": None,
         "scene_area_m2": None,
+        "severity": None,
         "rear_stop_m": None,
         "max_coupler_gap_m": None,
         "max_truck_offset_m": None,
@@ -227,6 +228,7 @@ def _yang_manos(params: TrainParams, progress: Callable[[float, int], None] | No
         "peak_force_pair",
         "peak_force_time_s",
         "peak_resultant_N",
+        "severity",
         "cars_above_5MN",
         "cars_above_10MN",
     ):

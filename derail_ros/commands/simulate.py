@@ -300,6 +300,7 @@ ROWS: tuple[tuple[str, str, float, str], ...] = (
     ("scene length (m)", "scene_length_m", 1.0, ".1f"),
     ("scene width (m)", "scene_width_m", 1.0, ".1f"),
     ("scene area (m2)", "scene_area_m2", 1.0, ".0f"),
+    ("severity (base train: 1)", "severity", 1.0, ".2f"),
     ("cars struck above 5 MN", "cars_above_5MN", 1.0, ".1f"),
     ("cars struck above 10 MN", "cars_above_10MN", 1.0, ".1f"),
     ("rear part stopped at (m)", "rear_stop_m", 1.0, ".1f"),

@@ -212,7 +212,7 @@ class Result:
     rear_car, rear_stop : first car still on the rails behind and its track coordinate, m
     max_gap, max_offset : largest errors of the constraints, m
     residual : largest imbalance of the energy, share of the initial energy
-    severity : against a base run
+    severity : against the source's base train
     """
 
     status: str

@@ -1,4 +1,8 @@
-"""Composite severity of a derailment, relative to a base run."""
+"""Composite severity of a derailment, relative to a base run.
+
+The base run of the source is its train of 60 identical cars at 60 km/h. What it printed for that
+run is the base wherever none is named: in messages, records and reviews. Studies name their own.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+BASE_CARS = 14
+BASE_PEAK_FORCE = 9.47e6
+BASE_AREA = 1721.0
+"""Cars derailed, largest force (N) and scene (m^2) the source printed for that run."""
 
 
 class HasMeasures(Protocol):
@@ -52,8 +61,19 @@ def severity_index(
     return np.asarray((n / base_cars + f / base_peak_force + a / base_area) / 3.0)
 
 
-def severity(outcome: HasMeasures, base: HasMeasures) -> float:
-    """Severity of one outcome against a base run, see :func:`severity_index`."""
+def severity(outcome: HasMeasures, base: HasMeasures | None = None) -> float:
+    """Severity of one outcome, see :func:`severity_index`; without a base against the source's."""
+    if base is None:
+        return float(
+            severity_index(
+                outcome.cars_derailed,
+                outcome.peak_force,
+                outcome.scene_area,
+                BASE_CARS,
+                BASE_PEAK_FORCE,
+                BASE_AREA,
+            )
+        )
     return float(
         severity_index(
             outcome.cars_derailed,

@@ -352,6 +352,8 @@ def _outcome(run: Run) -> list[str]:
         rows.append(("above 10 MN", f"{len(r.above_10MN)}: {words.number_list(r.above_10MN)}"))
     if r.derailed:
         rows.append(("scene", f"{r.length:.1f} m × {r.width:.1f} m, {r.area:.0f} m²"))
+        if math.isfinite(r.severity):
+            rows.append(("severity", f"{r.severity:.2f} (the source's base train: 1)"))
     if r.rear_car:
         stop = f" at {r.rear_stop:.1f} m" if math.isfinite(r.rear_stop) else ""
         rows.append(("rear part stands", f"from car {r.rear_car}, its front truck{stop}"))

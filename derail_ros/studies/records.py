@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from derail_ros.review.severity import severity
+
 if TYPE_CHECKING:
     from derail_ros.engine.sample import Outcome
 
@@ -42,6 +44,7 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
         "scene_length_m": number(outcome.scene_length),
         "scene_width_m": number(outcome.scene_width),
         "scene_area_m2": number(outcome.scene_area),
+        "severity": number(severity(outcome)),
         "rear_stop_m": number(outcome.rear_stop),
         "max_coupler_gap_m": number(outcome.max_coupler_gap),
         "max_truck_offset_m": number(outcome.max_truck_offset),

@@ -30,3 +30,12 @@ def test_vectorised():
 def test_base_without_a_measure_is_refused(base):
     with pytest.raises(ValueError, match="base_"):
         severity_index(1, 1.0, 1.0, *base)
+
+
+def test_without_a_base_the_source_s_base_train_counts_as_one():
+    class BaseTrain:
+        cars_derailed = 14
+        peak_force = 9.47e6
+        scene_area = 1721.0
+
+    assert severity(BaseTrain()) == pytest.approx(1.0)
