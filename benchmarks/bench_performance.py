@@ -15,6 +15,7 @@ import platform
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -188,6 +189,27 @@ def ensemble(members: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def start_up() -> list[dict[str, Any]]:
+    """Wall times of whole processes, s: compiling into an empty cache, then starting from it."""
+    first_step = (
+        "from derail_ros.engine import Simulation\n"
+        "from derail_ros.scenario import load_scenario_by_name\n"
+        "Simulation(load_scenario_by_name('mississauga').to_params()).advance_steps(1)"
+    )
+    rows = []
+    with tempfile.TemporaryDirectory() as cache:
+        env = {**os.environ, "DERAIL_CACHE_DIR": cache}
+        for what, command in (
+            ("first start, compiling, to the first step", [sys.executable, "-c", first_step]),
+            ("second start to the first step", [sys.executable, "-c", first_step]),
+            ("`derail --help`", [sys.executable, "-m", "derail_ros.cli", "--help"]),
+        ):
+            began = time.perf_counter()
+            subprocess.run(command, env=env, check=True, capture_output=True)
+            rows.append({"what": what, "wall_s": time.perf_counter() - began})
+    return rows
+
+
 def exponent(x: list[float], y: list[float]) -> float:
     """Slope of a power law by least squares."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
@@ -242,6 +264,7 @@ def main() -> None:
     cars, grows = lengths()
     piles, piles_grow = pile_ups()
     many = ensemble(200 if quick else 1000)
+    starts = start_up()
     after = fixed_kernel()
     for r in bars:
         r["label"] = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in r["setting"])
@@ -274,13 +297,15 @@ def main() -> None:
         f"{many['single_core_runs_per_s']:.1f}), {many['cpu_s_per_run']:.3f} s of processor time "
         f"each, {many['peak_memory_MB']:.0f} MB in all. "
         "What else ran on the machine counts here.",
+        "**Start-up**, whole processes",
+        table(starts, {"what": ("", ""), "wall_s": ("wall time, s", ".2f")}),
     ]  # fmt: skip
     tables = "\n\n".join(text)
     print(tables)
     results = {
         "fixed_kernel_ms": [before, after], "scenarios": runs, "chain": bars, "lengths": cars,
         "lengths_exponent": grows, "pile_ups": piles, "pile_ups_exponent": piles_grow,
-        "ensemble": many,
+        "ensemble": many, "start_up": starts,
     }  # fmt: skip
     (DOCS / "performance.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     figure(bars, DOCS / "images" / "chain_work_precision.svg")

@@ -110,6 +110,7 @@ def segments(process: Process) -> list[Path]:
     return [Path(each[1]) for each in found if each]
 
 
+@pytest.mark.slow
 def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
     """Its recorder ends whole, its own recording is repaired, another takes over the clock."""
     with graph(tmp_path) as made:
