@@ -385,10 +385,10 @@ def test_services_answer_within_a_tenth_of_a_second_at_full_load(fresh: Graph) -
 
 def test_a_second_simulator_does_not_publish_the_clock(fresh: Graph) -> None:
     second = fresh.start("simulator", "-r", "__node:=second", scenario="")
-    fresh.until(
-        lambda: "another node publishes /clock" in second.output, "the second refuses", second
-    )
-    assert fresh.node.count_publishers("/clock") == 1
+    # Where discovery takes long both begin, and then one of them gives way.
+    said = "another node publishes /clock"
+    fresh.until(lambda: any(said in each.output for each in fresh.processes), "one gives way")
+    fresh.until(lambda: fresh.node.count_publishers("/clock") == 1, "one publishes")
     clocks = len(fresh.heard["/clock"])
     fresh.until(lambda: len(fresh.heard["/clock"]) > clocks + 10, "the clock goes on")
     assert second.end() == 0, second.output
