@@ -34,6 +34,8 @@ from msg_adapters.topics import (
 
 CLOCK_GRACE = 0.6
 """Wall time in which another publisher of the clock may show itself, s."""
+CLOCK_PATIENCE = 3.0
+"""How long a young publisher of /clock waits for another young one to give way, s."""
 CLOCK_PROBATION = 30.0
 """Wall time in which one of two that began together gives way, s."""
 PER_RUN = tuple(topic.name for topic in TOPICS.values() if topic.latched)
@@ -274,6 +276,7 @@ class ClockGuard:
         self.wanted = wanted
         self.yielded = False
         self.warned = False
+        self.beside: float | None = None
         self.began = time.monotonic()
         self.looked = self.began
         self.taken = self.began
@@ -286,6 +289,10 @@ class ClockGuard:
             return
         self.looked = now
         others = self.node.count_publishers("/clock") - int(self.publishing)
+        if others == 0 or not self.publishing:
+            self.beside = None
+        elif self.beside is None:
+            self.beside = now
         if others > 0 and (not self.publishing or (young and self._gives_way())):
             self._yield(now)
         elif others > 0 and not young and not self.warned:
@@ -310,7 +317,12 @@ class ClockGuard:
             )
 
     def _gives_way(self) -> bool:
-        """Of two that began at the same time the one with the larger identity gives way."""
+        """Of two that began at the same time the one with the larger identity gives way.
+
+        One that has not done so after a while began long before: it stays, whatever its identity.
+        """
+        if self.beside is not None and time.monotonic() > self.beside + CLOCK_PATIENCE:
+            return True
         mine, others = [], []
         for info in self.node.get_publishers_info_by_topic("/clock"):
             own = (info.node_name, info.node_namespace) == (

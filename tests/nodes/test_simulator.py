@@ -9,6 +9,8 @@ import signal
 import statistics
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -18,6 +20,7 @@ pytest.importorskip("derail_msgs")
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import ReliabilityPolicy
 
+from derail_ros.nodes import simulator as simulator_module
 from derail_ros.nodes.parameters import SIMULATOR
 from derail_ros.recording import read_manifest
 from msg_adapters.common import stamp_of
@@ -385,13 +388,40 @@ def test_services_answer_within_a_tenth_of_a_second_at_full_load(fresh: Graph) -
 
 def test_a_second_simulator_does_not_publish_the_clock(fresh: Graph) -> None:
     second = fresh.start("simulator", "-r", "__node:=second", scenario="")
-    # Where discovery takes long both begin, and then one of them gives way.
-    said = "another node publishes /clock"
-    fresh.until(lambda: any(said in each.output for each in fresh.processes), "one gives way")
+    fresh.until(
+        lambda: "another node publishes /clock" in second.output, "the second refuses", second
+    )
     fresh.until(lambda: fresh.node.count_publishers("/clock") == 1, "one publishes")
     clocks = len(fresh.heard["/clock"])
     fresh.until(lambda: len(fresh.heard["/clock"]) > clocks + 10, "the clock goes on")
     assert second.end() == 0, second.output
+
+
+@pytest.mark.parametrize(("mine", "other"), [(b"a", b"b"), (b"b", b"a")])
+def test_a_young_clock_gives_way_to_an_old_one_whatever_its_identity(
+    mine, other, monkeypatch
+) -> None:
+    """Discovery was slow, so that both publish; the old one will not give way."""
+    now = [100.0]
+    monkeypatch.setattr(simulator_module.time, "monotonic", lambda: now[0])
+    node, output = MagicMock(), MagicMock()
+    node.get_name.return_value, node.get_namespace.return_value = "young", "/"
+    node.get_publishers_info_by_topic.return_value = [
+        SimpleNamespace(node_name=name, node_namespace="/", endpoint_gid=gid)
+        for name, gid in (("young", mine), ("old", other))
+    ]
+    node.count_publishers.return_value = 0
+    guard = simulator_module.ClockGuard(node, output, True)
+    while now[0] < 101.0:
+        now[0] += 0.11
+        guard.look()
+    assert guard.publishing
+    node.count_publishers.return_value = 2
+    end = now[0] + simulator_module.CLOCK_PATIENCE + 0.5
+    while now[0] < end:
+        now[0] += 0.11
+        guard.look()
+    assert not guard.publishing and guard.yielded
 
 
 # --- processes of their own ------------------------------------------------------------------
