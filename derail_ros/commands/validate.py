@@ -42,9 +42,9 @@ def run(
         common.print_json(result.as_dict())
     else:
         _print(result)
-    failed = sum(c.failed for c in (*result.cases, *result.beside))
+    failed = sum(c.failed for c in (*result.cases, *result.doubtful, *result.beside))
     if failed:
-        errors = {e for c in (*result.cases, *result.beside) for e in c.errors}
+        errors = {e for c in (*result.cases, *result.doubtful, *result.beside) for e in c.errors}
         note(f"derail: {failed} runs failed: {'; '.join(sorted(errors))}")
     return FAILED if failed else OK
 
@@ -71,7 +71,8 @@ def _draw(result: Any, folder: Path, jobs: int | None) -> None:
 def _print(result: Any) -> None:
     from rich.table import Table
 
-    from derail_ros.studies.validation import DIGITS, MEASURES, shown, verdict
+    from derail_ros.studies.impact import words
+    from derail_ros.studies.validation import DIGITS, MEASURES, band, inside, shown, verdict
 
     console = common.out()
     for name, _, label, _ in MEASURES:
@@ -89,13 +90,12 @@ def _print(result: Any) -> None:
             table.add_column(heading, justify="right")
         table.add_column("")
         for title, s in rows:
-            band = "-" if s.low is None else f"{shown(s.low, digits)} to {shown(s.high, digits)}"
             table.add_row(
                 title,
                 shown(s.published, digits),
                 shown(s.mean, digits),
                 shown(s.sd, digits),
-                band,
+                band(s, digits),
                 verdict(s, digits),
             )
         console.print(table)
@@ -117,3 +117,20 @@ def _print(result: Any) -> None:
             shown(g.scatter, 2),
         )
     console.print(table)
+    console.print()
+    if result.doubtful:
+        table = Table(
+            box=None,
+            pad_edge=False,
+            title="published values in the 90 % band",
+            title_justify="left",
+        )
+        table.add_column("measure", min_width=46)
+        table.add_column("with chance alone", justify="right")
+        table.add_column("constants in doubt too", justify="right")
+        for name, _, label, _ in MEASURES[:5]:
+            (a, of), (b, _) = inside(result.cases, name), inside(result.doubtful, name)
+            table.add_row(label, f"{a} of {of}", f"{b} of {of}")
+        console.print(table)
+        console.print()
+    console.print(f"Tank car impact tests: {words(result.impacts)}")

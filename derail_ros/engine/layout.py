@@ -139,10 +139,12 @@ STATUS = 5
 REBUILDS = 6
 LIMIT_ACCURACY = 7  # steps whose size the error control set
 LIMIT_CAP = 8  # ... the cap on a corner's way
-LIMIT_OTHER = 9  # ... the largest step, a switched force or a located event
+LIMIT_MOMENT = 9  # ... a moment: a switched force or a located event
 EVALS = 10
 IMPLICIT_STEPS = 11
-N_CNT = 12
+LIMIT_STABILITY = 12  # ... the stability of an explicit method under friction
+LIMIT_LARGEST = 13  # ... the largest step
+N_CNT = 14
 
 RUNNING = 0
 AT_REST = 1

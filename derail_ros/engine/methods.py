@@ -3,8 +3,8 @@
 A table of s stages is an array of 2 s + 4 rows and s + 1 columns: s rows alpha (slopes that make
 the stages), s rows gamma (of implicit friction, without the diagonal), b (slopes that make the new
 state), e (slopes that make the error; the last column is for the slope at the new state), c (times
-of the stages), and one row with the diagonal gamma (0: explicit) and the exponent of the error in
-the choice of the step.
+of the stages), and one row with the diagonal gamma (0: explicit), the exponent of the error in
+the choice of the step, and how far the method is stable along the negative real axis.
 """
 
 from __future__ import annotations
@@ -30,8 +30,30 @@ def table(
 
     implicit = list(gammas) or [()] * len(b)
     times = [sum(row) for row in alpha]
-    rows = (*alpha, *implicit, b, e, times, (gamma, 1.0 / order))
+    rows = (*alpha, *implicit, b, e, times, (gamma, 1.0 / order, stability_bound(alpha, b)))
     return tuple(padded(row) for row in rows)
+
+
+def stability_bound(alpha: Sequence[Sequence[float]], b: Sequence[float]) -> float:
+    """Largest x with ``|R(-z)| <= 1`` for 0 <= z <= x, to 1e-6: R is the stability function.
+
+    A step of the explicit method multiplies a velocity that friction relaxes at the rate ``rate``
+    by ``R(-h rate)``; R is a polynomial that begins below 1 and leaves [-1, 1] once.
+    """
+
+    def factor(z: float) -> float:
+        slopes: list[float] = []
+        for row in alpha:
+            slopes.append(-z * (1.0 + sum(a * k for a, k in zip(row, slopes))))
+        return 1.0 + sum(w * k for w, k in zip(b, slopes))
+
+    low, high = 0.0, 0.01
+    while abs(factor(high)) <= 1.0:
+        low, high = high, high + 0.01
+    while high - low > 1e-6:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if abs(factor(middle)) <= 1.0 else (low, middle)
+    return low
 
 
 # E. Fehlberg, NASA TR R-315 (1969): 4(5), the fifth-order solution is carried on.

@@ -207,7 +207,7 @@ class BrakeParams:
     triggers : applications present from the start
     """
 
-    force: float = 62_000.0
+    force: float = 64_000.0
     rise_time: float = 10.0
     signal_speed: float = 290.0
     traction_coefficient: float = 0.3

@@ -189,6 +189,42 @@ def friction_damping(
 
 
 @inner_jit
+def longest_stable(model: Model, state: State, work: Work, h: float, bound: float) -> float:
+    """Longest step up to ``h`` in which an explicit method is stable under the friction, s.
+
+    ``bound`` is the method's along the negative real axis; a tenth of it is left to what the
+    friction changes within the step. The fastest rate is the largest eigenvalue of ``M^-1 C`` of a
+    car, from above: the largest sum of a row's sizes, in the metric of the masses. Constraints
+    only make it slower.
+
+    Error control alone does not see the instability of a car at rest: steps grow until what
+    rounding has left of its velocities has become an oscillation of the size of the tolerance.
+    """
+    keep_separate()
+    wk = work.wk
+    car = model.car
+    angles(state.q, wk, work.ang)
+    if not friction_damping(
+        model.par, car, model.unit, model.unit_start, state.arrival, state.clock[L.T],
+        state.clock[L.T_ON], state.truck_on, state.coupled, state.v, wk, work.ground, h,
+    ):  # fmt: skip
+        return h
+    fastest = 0.0
+    for i in range(wk.shape[0]):
+        if wk[i, L.W_STIFF] == 0.0:
+            continue
+        wk[i, L.W_STIFF] = 0.0
+        root = math.sqrt(car[i, L.MASS] * car[i, L.INERTIA])
+        xy = abs(wk[i, L.W_C + 1]) / car[i, L.MASS]
+        xt = abs(wk[i, L.W_C + 2]) / root
+        yt = abs(wk[i, L.W_C + 4]) / root
+        fastest = max(fastest, wk[i, L.W_C] / car[i, L.MASS] + xy + xt)
+        fastest = max(fastest, xy + wk[i, L.W_C + 3] / car[i, L.MASS] + yt)
+        fastest = max(fastest, xt + yt + wk[i, L.W_C + 5] / car[i, L.INERTIA])
+    return min(h, 0.9 * bound / fastest)
+
+
+@inner_jit
 def _implicit_masses(car: F64, wk: F64, factor_h: float) -> None:
     """Inverse of ``M + factor_h C`` of the stiff cars into ``wk``."""
     for i in range(wk.shape[0]):

@@ -278,7 +278,9 @@ class Simulation:
             "neighbour_lists": int(c[L.REBUILDS]),
             "limited_by_accuracy": int(c[L.LIMIT_ACCURACY]),
             "limited_by_cap": int(c[L.LIMIT_CAP]),
-            "limited_otherwise": int(c[L.LIMIT_OTHER]),
+            "limited_by_stability": int(c[L.LIMIT_STABILITY]),
+            "limited_by_largest": int(c[L.LIMIT_LARGEST]),
+            "ended_at_a_moment": int(c[L.LIMIT_MOMENT]),
             "implicit": int(c[L.IMPLICIT_STEPS]),
         }
 
@@ -785,7 +787,7 @@ class Simulation:
                     grown[: len(saved)] = saved
                     fields[name] = grown
                 elif name != "breaks" and saved.shape != own.shape:
-                    raise StateFormatError(f"array {name} does not fit the number of cars")
+                    raise StateFormatError(f"array {name} does not fit this train or this version")
                 else:
                     fields[name] = saved
             run._state = State(**fields)

@@ -33,7 +33,7 @@ from derail_ros.engine.neighbours import (
     refresh_active,
     track_contacts,
 )
-from derail_ros.engine.runge_kutta import step_error, take_stages
+from derail_ros.engine.runge_kutta import longest_stable, step_error, take_stages
 from derail_ros.engine.solver import constraint_error, truck_rows
 from derail_ros.engine.trigonometry import angles
 
@@ -488,6 +488,7 @@ def step(model: Model, state: State, work: Work) -> int:
     to_end = model.table[2 * stages + 1, stages] != 0.0
     last_at_end = model.table[2 * stages + 2, stages - 1] == 1.0
     exponent = model.table[2 * stages + 3, 1]
+    explicit = model.table[2 * stages + 3, 0] == 0.0
     copy_rows(work.truck_s, state.truck_s)
     clock[L.T_ON] = t
     switch = next_switch(model, state, t)
@@ -499,11 +500,16 @@ def step(model: Model, state: State, work: Work) -> int:
         h = cap
         limit = L.LIMIT_CAP
         if h == par[L.H_MAX]:
-            limit = L.LIMIT_OTHER
+            limit = L.LIMIT_LARGEST
+    if explicit:
+        stable = longest_stable(model, state, work, h, model.table[2 * stages + 3, 2])
+        if stable < h:
+            h = stable
+            limit = L.LIMIT_STABILITY
     # land on a switch exactly; a sliver before it is spread over two steps
     if t + h >= switch:
         h = switch - t
-        limit = L.LIMIT_OTHER
+        limit = L.LIMIT_MOMENT
     elif t + 2.0 * h > switch:
         h = 0.5 * (switch - t)
     rejected = False
@@ -549,7 +555,7 @@ def step(model: Model, state: State, work: Work) -> int:
             located = max(share * h, floor)
             if share < 1.0 and located < h:
                 h = located
-                limit = L.LIMIT_OTHER
+                limit = L.LIMIT_MOMENT
                 switch = math.inf
                 verdict = 3
         if verdict == 0:
@@ -570,7 +576,7 @@ def step(model: Model, state: State, work: Work) -> int:
             located = max(first_overload(model, state, work) * h, floor)
             if located < h:
                 h = located
-                limit = L.LIMIT_OTHER
+                limit = L.LIMIT_MOMENT
                 switch = math.inf
                 verdict = 3
         if verdict == 0:

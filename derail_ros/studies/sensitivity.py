@@ -251,15 +251,15 @@ def _constants() -> Iterator[Constant]:
     )  # fmt: skip
     yield _number(
         "F0", "brake force F0 (kN)", BRAKES, "brakes.force_N",
-        BrakeParams, "force", (20e3, 35e3, 50e3, 62e3, 70e3), 1e3,
+        BrakeParams, "force", (20e3, 35e3, 50e3, 64e3, 70e3), 1e3,
     )  # fmt: skip
     yield Constant(
         "shoe", "brake shoe", "composition", BRAKES,
         (Change("cast iron", 0, edit=shoes("cast_iron")),),
     )  # fmt: skip
     yield Constant(
-        "mu_t", "traction coefficient in the brake tests", "0.15", BRAKES,
-        _values("brakes.traction_coefficient", 0.15, (0.1, 0.2, 0.3)),
+        "mu_t", "traction coefficient in the brake tests", "0.16", BRAKES,
+        _values("brakes.traction_coefficient", 0.16, (0.1, 0.2, 0.3)),
         ("traction", "instant_traction"),
     )  # fmt: skip
     for name, label, path, attribute, values in (

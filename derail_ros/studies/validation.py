@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from derail_ros.studies.doubt import DOUBTS, doubtful_runs
 from derail_ros.studies.ensemble import (
     VARIATION,
     Result,
@@ -32,6 +33,7 @@ from derail_ros.studies.ensemble import (
     ensemble_runs,
     run_many,
 )
+from derail_ros.studies.impact import STANDING, STRIKING, Impact, impacts, words
 from derail_ros.studies.records import counted, failed_record, flatten, outcome_record
 
 Loader = Callable[[str], ScenarioLike]
@@ -296,19 +298,32 @@ def goals(results: Sequence[CaseResult], limits: Mapping[str, float]) -> list[Go
 
 @dataclass(frozen=True)
 class Validation:
-    """The whole comparison."""
+    """The whole comparison.
+
+    Attributes
+    ----------
+    members, seed : of the ensembles
+    settings : dotted path -> value that was changed in all cases
+    cases : the published runs
+    doubtful : the same with the reconstructed constants drawn as well; empty with settings
+    beside : what is shown and counts in no goal
+    goals : what the cases reached
+    impacts : the tank car impact tests by the collision law
+    """
 
     members: int
     seed: int
     settings: Mapping[str, Any]
     cases: tuple[CaseResult, ...]
+    doubtful: tuple[CaseResult, ...]
     beside: tuple[CaseResult, ...]
     goals: tuple[Goal, ...]
+    impacts: tuple[Impact, ...]
 
     @property
     def passed(self) -> bool:
         """All goals are reached and no run failed."""
-        failed = sum(c.failed for c in (*self.cases, *self.beside))
+        failed = sum(c.failed for c in (*self.cases, *self.doubtful, *self.beside))
         return failed == 0 and all(g.met for g in self.goals)
 
     def as_dict(self) -> dict[str, Any]:
@@ -318,15 +333,22 @@ class Validation:
             "seed": self.seed,
             "settings": dict(self.settings),
             "cases": [c.as_dict() for c in self.cases],
+            "doubtful": [c.as_dict() for c in self.doubtful],
             "beside": [c.as_dict() for c in self.beside],
             "goals": [g.as_dict() for g in self.goals],
+            "impacts": [i.as_dict() for i in self.impacts],
             "passed": self.passed,
         }
 
 
-def _runs(scenarios: Sequence[ScenarioLike], members: int, seed: int) -> Iterator[Run]:
+def _runs(
+    scenarios: Sequence[ScenarioLike], doubtful: int, members: int, seed: int
+) -> Iterator[Run]:
+    """Runs of all ensembles, then of the first ``doubtful`` ones with doubtful constants."""
     for number, scenario in enumerate(scenarios):
         yield from ensemble_runs(scenario, members, seed=seed, key=number)
+    for number, scenario in enumerate(scenarios[:doubtful]):
+        yield from doubtful_runs(scenario, members, seed=seed, key=len(scenarios) + number)
 
 
 def _task_record(result: Result) -> dict[str, Any]:
@@ -370,23 +392,30 @@ def validate(
         load(case.scenario).with_overrides({**case.overrides, **(settings or {})})
         for case in everything
     ]
-    records: list[list[Any]] = [[None] * members for _ in everything]
-    total, done = members * len(everything), 0
-    with closing(run(_runs(scenarios, members, seed), jobs=jobs)) as results:
+    doubtful = 0 if settings else len(published.cases)
+    records: list[list[Any]] = [[None] * members for _ in range(len(everything) + doubtful)]
+    total, done = members * len(records), 0
+    with closing(run(_runs(scenarios, doubtful, members, seed), jobs=jobs)) as results:
         for result in results:
             records[result.run.key][result.run.member] = _task_record(result)
             done += 1
             if progress is not None:
                 progress(done, total)
-    compared = [evaluate(case, r) for case, r in zip(everything, records, strict=True)]
+    compared = [
+        evaluate(case, r)
+        for case, r in zip((*everything, *published.cases[:doubtful]), records, strict=True)
+    ]
     split = len(published.cases)
+    contact = scenarios[0].to_params().contact if scenarios else None
     return Validation(
         members=members,
         seed=seed,
         settings=settings or {},
         cases=tuple(compared[:split]),
-        beside=tuple(compared[split:]),
+        doubtful=tuple(compared[len(everything) :]),
+        beside=tuple(compared[split : len(everything)]),
         goals=tuple(goals(compared[:split], published.goals)),
+        impacts=impacts(contact),
     )
 
 
@@ -428,6 +457,71 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("validation_final_scene.png", "The final scene", "The final scene of the Mississauga run"),
 )
 """Files of the page's figures, headings within the section on Mississauga, what they show."""
+
+
+def inside(results: Sequence[CaseResult], name: str) -> tuple[int, int]:
+    """Cases whose published value lies in the band of their ensemble, and cases that have one."""
+    known = _known(results, name)
+    return sum(bool(s.inside) for s in known), len(known)
+
+
+def _doubt_section(validation: Validation) -> Iterator[str]:
+    yield from ("", "## With the constants in doubt", "")
+    yield from textwrap.wrap(
+        "Chance is not all that is unknown: constants of the source are lost. Here each run of an "
+        "ensemble draws them too, all at once, uniformly from what is in doubt about them (k2 and "
+        "d_c in their logarithm); run by run the same draw for every case.",
+        99,
+    )
+    yield from ("", "| constant | drawn from | why |", "|---|---|---|")
+    for d in DOUBTS:
+        yield f"| {d.label} | {d.low:g} to {d.high:g} | {d.why} |"
+    yield from (
+        "",
+        "Published values in the 90 % band:",
+        "",
+        "| measure | with chance alone | constants in doubt too |",
+        "|---|---|---|",
+    )
+    for name, _, label, _ in MEASURES[:5]:
+        (a, of), (b, _) = inside(validation.cases, name), inside(validation.doubtful, name)
+        yield f"| {label} | {a} of {of} | {b} of {of} |"
+    digits = DIGITS["peak_force_MN"]
+    yield from (
+        "",
+        "Peak force (MN):",
+        "",
+        "| case | published | band of chance alone | constants in doubt too |",
+        "|---|---|---|---|",
+    )
+    for plain, result in zip(validation.cases, validation.doubtful, strict=True):
+        a, b = (r.spreads["peak_force_MN"] for r in (plain, result))
+        yield (
+            f"| {plain.case.title} | {shown(a.published, digits)} | {band(a, digits)} "
+            f"| {band(b, digits)} |"
+        )
+
+
+def _impact_section(validation: Validation) -> Iterator[str]:
+    yield from ("", "## Tank car impact tests", "")
+    yield from textwrap.wrap(
+        f"The collision law was set by tests in which a car of {STRIKING / 1e3:g} t ran into "
+        f"standing cars of {STANDING / 1e3:g} t, and then made stiffer. "
+        f"{words(validation.impacts)}",
+        99,
+    )
+    yield from ("", "| speed (km/h) | peak force (MN) | duration (s) | parting speed (m/s) |")
+    yield "|---|---|---|---|"
+    for i in validation.impacts:
+        yield (
+            f"| {i.speed_kmh:g} | {i.peak_force_N / 1e6:.2f} | {i.duration_s:.3f} "
+            f"| {i.parting_speed_mps:.2f} |"
+        )
+
+
+def band(s: Spread, digits: int) -> str:
+    """The 90 % band in words."""
+    return "-" if s.low is None else f"{shown(s.low, digits)} to {shown(s.high, digits)}"
 
 
 def markdown(validation: Validation, images: str | None = None) -> str:
@@ -484,11 +578,13 @@ def markdown(validation: Validation, images: str | None = None) -> str:
             "|---|---|---|---|---|---|",
         ]
         for result, s in rows:
-            band = "-" if s.low is None else f"{shown(s.low, digits)} to {shown(s.high, digits)}"
             lines.append(
                 f"| {result.case.title} | {shown(s.published, digits)} | {shown(s.mean, digits)} "
-                f"| {shown(s.sd, digits)} | {band} | {verdict(s, digits)} |"
+                f"| {shown(s.sd, digits)} | {band(s, digits)} | {verdict(s, digits)} |"
             )
+    if validation.doubtful:
+        lines += _doubt_section(validation)
+    lines += _impact_section(validation)
     lines += [
         "",
         "## Pairs of the largest force",

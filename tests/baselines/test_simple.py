@@ -259,7 +259,7 @@ def test_brakes_are_those_of_the_engine():
     brakes = brakes_of(params, derailing_train(params))
     assert brakes.at(0.0, 10.0).tolist() == [0.0] * 60
     full = brakes.at(100.0, 0.0)
-    assert full == pytest.approx(np.full(60, 62e3))
+    assert full == pytest.approx(np.full(60, 64e3))
     assert brakes.at(100.0, 30.0)[0] == pytest.approx(brakes.at(100.0, 23.0)[0])
     assert brakes.conventional[10] == pytest.approx(10 * 16.348 / 290.0, rel=1e-3)
 

@@ -325,7 +325,7 @@ def test_the_signal_arrives_after_its_way_at_290_m_per_s(source, car, way):
     # linear rise over 10 s from there
     s = run.sample(run.time)
     u = s.v[:, 0]
-    full = 62e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223
+    full = 64e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223
     assert s.brake_force / full == pytest.approx((run.time - expected) / 10.0, rel=1e-5)
 
 
@@ -369,7 +369,7 @@ def test_a_second_trigger_only_raises():
 
         def share(s):
             u = s.v[:, 0]
-            return s.brake_force / (62e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223)
+            return s.brake_force / (64e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223)
 
         if second.mode == "conventional":
             expected = np.maximum(share(one), share(only))

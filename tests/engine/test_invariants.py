@@ -243,6 +243,26 @@ def test_a_train_at_rest_stays_at_rest(method):
     assert np.all(run.sample().v == 0.0)
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("free", [False, True])
+def test_steps_at_rest_do_not_wake_a_car(method, free):
+    # Coupled or free on the ground, rounding gives it velocities that no step may make grow.
+    cars = (make_car(0), make_car(1))
+    params = make_train(cars, speed=0.0, derailed=((1, "front"), (1, "rear"), (2, "rear")),
+                        parted=(1,) if free else (), triggers=())  # fmt: skip
+    q = Simulation(params).sample().q
+    v = np.zeros((2, 5))
+    v[0, :3] = 1e-9, -2e-9, 1e-10
+    params = with_integration(params, method=method, rest_hold=20.0, time_limit=10.0)
+    run = place(Simulation(params), q, v)
+    before = run.outcome().energy
+    outcome = run.run()
+    assert np.abs(run.sample().v[:, :3]).max() < 1e-9
+    for name in ("ground_trucks", "ground_body", "striker_dampers"):
+        assert outcome.energy[name] >= -1e-9, name
+    assert outcome.energy["kinetic"] <= before["kinetic"]
+
+
 def test_a_push_below_the_friction_leaves_a_car_creeping_at_the_smoothed_speed():
     # alone on the ground: 50 kN at the mass centre against 0.8 x 667 kN
     push = LateralForce(place="centre", duration=100.0)
@@ -306,7 +326,7 @@ def test_stopping_distance_from_80_kmh(shoe, cars):
     v = np.linspace(0.0, 80.0 / 3.6, 4001)
     mu = (v + 19.223) / (v + 9.388) * (9.388 / 19.223)
     y = v / mu
-    distance = 68e3 / 62e3 * np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(v))
+    distance = 68e3 / 64e3 * np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(v))
     travelled = run.sample().q[:, 0] - home[:, 0]
     assert travelled == pytest.approx(distance, rel=1e-3)
 
@@ -318,7 +338,7 @@ def test_half_the_brake_of_a_car_with_one_truck_on_the_rails():
     none = replace(params, initiation=replace(params.initiation, derailed_trucks=all_trucks(1)))
     forces = [Simulation(p).sample().brake_force[0] for p in (whole, params, none)]
     u = 15.0
-    full = 62e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223
+    full = 64e3 * (u + 19.223) / (u + 9.388) * 9.388 / 19.223
     assert forces == pytest.approx([full, 0.5 * full, 0.0], rel=1e-6)
 
 

@@ -7,6 +7,8 @@ import pytest
 from scipy.stats import ks_2samp
 
 from derail_ros.engine import METHODS, GroundParams, LateralForce, Simulation
+from derail_ros.engine.laws.ground import drag_slopes
+from derail_ros.engine.methods import stability_bound
 from derail_ros.scenario import load_scenario_by_name
 from derail_ros.studies.ensemble import Run, run_many
 from tests.engine.support import (
@@ -14,7 +16,9 @@ from tests.engine.support import (
     fixed_steps,
     free_train,
     kicked,
+    make_train,
     mixed_cars,
+    place,
     propose,
     tight,
     with_integration,
@@ -60,6 +64,39 @@ def test_explicit_order(name):
     found = conditions_of_order_4(alpha, embedded, np.append(t.c, 1.0))
     assert found[:order] == pytest.approx([0.0] * order, abs=1e-15)
     assert max(abs(x) for x in found) > 1e-3 or order == 8
+
+
+def test_stability_along_the_negative_axis():
+    # known: the classical method and Fehlberg's of order 5
+    assert stability_bound(Table("row").alpha, Table("row").b) == pytest.approx(2.785293, abs=1e-5)
+    t = Table("rkf45")
+    z = -np.linspace(0.0, 5.0, 5001)
+    ones = np.ones(t.stages)
+    factor = np.array(
+        [1.0 + x * t.b @ np.linalg.solve(np.eye(t.stages) - x * t.alpha, ones) for x in z]
+    )
+    first = -z[np.argmax(np.abs(factor) > 1.0 + 1e-12)]
+    assert stability_bound(t.alpha, t.b) == pytest.approx(first, abs=2e-3)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.003, 0.05])
+def test_an_explicit_step_is_no_longer_than_it_is_stable(speed):
+    # a car free on the ground: the rate of ten points, from the law
+    params = make_train(
+        1, speed=0.0, derailed=((1, "front"), (1, "rear")), triggers=(), lateral=()
+    )
+    run = Simulation(with_integration(params, method="rkf45", rtol=1e-1, rest_hold=20.0))
+    v = np.zeros((1, 5))
+    v[0, 1] = speed
+    place(run, run.sample().q, v)
+    propose(run, 0.05)
+    g = params.ground
+    across, along = drag_slopes(speed, g.c_s, g.c_d, g.eps, g.c_v)
+    run.advance_steps(1)
+    longest = 0.9 * stability_bound(Table("rkf45").alpha, Table("rkf45").b) / (9.81 * across)
+    assert run.statistics["limited_by_stability"] == 1
+    # across the motion, or turning: ten points have a radius of gyration like the car's
+    assert 0.6 * longest < run.step_size <= longest * (1.0 + 1e-12)
 
 
 def test_implicit_friction_keeps_order_3_for_any_damping():

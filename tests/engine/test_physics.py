@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from derail_ros.engine import METHODS, ContactParams, Simulation
 from derail_ros.scenario import load_scenario
+from derail_ros.studies.impact import impacts
 from tests.engine.support import make_car, make_train, start, steps_of, tight, with_integration
 
 # Impact tests ----------------------------------------------------------------------------------
@@ -84,7 +85,15 @@ def test_impact_of_tank_cars(kmh):
     assert total == pytest.approx(STRIKER * kmh / 3.6, rel=1e-9)
 
 
-def test_faster_impacts_are_harder_and_shorter():
+def test_the_impacts_of_the_validation_are_those_of_the_model():
+    for found in impacts():
+        t, force, _ = impact(found.speed_kmh)[1].T
+        on = t[force > 0.1 * force.max()]
+        assert found.peak_force_N == pytest.approx(force.max(), rel=1e-3)
+        assert found.duration_s == pytest.approx(on[-1] - on[0], abs=4e-3)
+
+
+def test_faster_impacts_are_harder():
     peaks = [impact(kmh)[1][:, 1].max() for kmh in (15.0, 20.4, 25.0)]
     assert peaks == sorted(peaks)
     assert peaks[2] > 1.2 * peaks[0]

@@ -182,7 +182,7 @@ def test_virtual_brakes_arrive_at_their_own_cars():
     s = run.sample(2.5)
     v = s.v[1, 0]
     mu = (v + 19.223) / (v + 9.388) * 9.388 / 19.223
-    assert s.brake_force[1] == pytest.approx(62e3 * mu * (0.15 + 0.05), rel=1e-6)
+    assert s.brake_force[1] == pytest.approx(64e3 * mu * (0.15 + 0.05), rel=1e-6)
     reached = [(e.cars, e.time) for e in run.events if e.kind.name == "BRAKE_SIGNAL_REACHED"]
     assert reached == [((1,), 0.0), ((2,), 1.0), ((3,), 2.0)]
 
@@ -197,7 +197,8 @@ def test_tighter_tolerances_agree(method):
     exact.advance_to(until)
     want = exact.sample(until)
     errors = []
-    for rtol in (1e-4, 1e-7, 1e-9):
+    # below 1e-9 or so what is left is where crossings are located, 1e-7 m
+    for rtol in (1e-4, 1e-7, 1e-10):
         run = Simulation(train(rtol=rtol, method=method))
         run.advance_to(until)
         errors.append(np.abs(run.sample(until).q - want.q).max())

@@ -171,7 +171,7 @@ def test_brake_tests(train, test):
     mode = {"traction": "traction_limited", "instant_traction": "instant_traction_limited"}
     (trigger,) = params.brakes.triggers
     assert trigger.mode == mode.get(test, test)
-    coefficient = 0.15 if "published" in train and test != "instant" else 0.3
+    coefficient = 0.16 if "published" in train and test != "instant" else 0.3
     assert params.brakes.traction_coefficient == coefficient
     assert dataclasses.replace(params, brakes=base.brakes) == base
 

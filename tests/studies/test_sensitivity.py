@@ -223,7 +223,7 @@ def test_json(study):
 def test_page(study):
     page = markdown(study, "images/sensitivity.png")
     assert "(images/sensitivity.png)" in page
-    assert "| brake force F0 (kN) | 62 | 35 | **+1.00 ± 0.00** |" in page
+    assert "| brake force F0 (kN) | 64 | 35 | **+1.00 ± 0.00** |" in page
     assert f"## {CONTROL}" in page
     assert "## Runs left out" in page
     assert "nan" not in page
@@ -234,7 +234,7 @@ def test_figure(study):
     figure = tornado(study)
     assert len(figure.axes) == len(MEASURES)
     texts = " ".join(t.get_text() for t in figure.texts)
-    assert "20  35  50  [62]  70" in texts
+    assert "20  35  50  [64]  70" in texts
     assert "[Gaussian]  Lorentzian" in texts
 
 

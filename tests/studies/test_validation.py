@@ -7,7 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from derail_ros.studies.ensemble import Result
+from derail_ros.engine import ContactParams, InitiationParams
+from derail_ros.scenario import load_scenario
+from derail_ros.studies.doubt import DOUBTS, doubtful_runs, draw
+from derail_ros.studies.ensemble import Result, member_factor
+from derail_ros.studies.impact import impact, words
 from derail_ros.studies.validation import (
     Case,
     Published,
@@ -185,7 +189,9 @@ class FakeScenario:
         return self
 
     def to_params(self):
-        return "params"
+        return SimpleNamespace(
+            contact=ContactParams(), initiation=InitiationParams(10.0, lateral_forces=())
+        )
 
 
 @pytest.fixture
@@ -206,7 +212,7 @@ def comparison():
         run=fake_run,
         progress=lambda done, total: seen.append((done, total)),
     )
-    assert seen[-1] == (12, 12)
+    assert seen[-1] == (20, 20)
     return result
 
 
@@ -225,10 +231,93 @@ def test_json(comparison):
     assert data["passed"] is False
 
 
+def test_doubtful_ensembles_stand_beside_the_cases_and_count_in_no_goal(comparison):
+    assert [r.case.name for r in comparison.doubtful] == ["a", "b"]
+    assert [r.runs for r in comparison.doubtful] == [4, 4]
+    assert all(g.cases <= 2 for g in comparison.goals)
+
+
+def test_settings_are_compared_without_doubt():
+    published = Published((Case("a", "A train", "a", {"cars_derailed": 10}),), (), LIMITS)
+    result = validate(
+        2, settings={"x": 1}, published=published, load=lambda name: FakeScenario(), run=fake_run
+    )
+    assert result.doubtful == ()
+    assert "in doubt" not in markdown(result)
+
+
+def test_doubtful_constants_reach_the_runs():
+    scenario = load_scenario("mississauga_published_brake_traction")
+    runs = list(doubtful_runs(scenario, 3, seed=4))
+    params = [run.params() for run in runs]
+    for run, p in zip(runs, params, strict=True):
+        drawn = draw(4, run.member)
+        assert p.brakes.force == drawn["brakes.force_N"]
+        assert p.brakes.traction_coefficient == drawn["brakes.traction_coefficient"]
+        assert (p.ground.c_v, p.ground.c_d) == (drawn["ground.c_v_s_per_m"], drawn["ground.c_d"])
+        assert p.contact.force_max == drawn["contact.force_max_N"]
+        assert p.contact.half_distance == drawn["contact.half_distance_m"]
+        assert {c.front.k2 for c in p.cars} == {drawn["couplers.k2_N_per_m"]}
+    forces = [p.initiation.lateral_forces[0].force for p in params]
+    assert forces == [50e3 * member_factor(4, k) for k in range(3)]
+
+
+def test_draws_fill_their_ranges_and_depend_on_seed_and_member_alone():
+    assert draw(0, 1) == draw(0, 1)
+    assert draw(0, 1) != draw(0, 2)
+    assert draw(0, 1) != draw(1, 1)
+    for d in DOUBTS:
+        values = np.array([draw(0, k)[d.path] for k in range(400)]) / d.scale
+        assert d.low <= values.min() < d.at(0.05) / d.scale
+        assert d.at(0.95) / d.scale < values.max() <= d.high
+        middle = d.at(0.5) / d.scale
+        assert 0.4 < np.mean(values < middle) < 0.6
+    # the model's own values lie within what is in doubt about them
+    home = load_scenario("mississauga_published_brake_traction").to_params()
+    own = (home.brakes.force, home.brakes.traction_coefficient, home.ground.c_v, home.ground.c_d,
+           home.contact.force_max, home.contact.half_distance, home.cars[0].front.k2)  # fmt: skip
+    for d, value in zip(DOUBTS, own, strict=True):
+        assert d.low < value / d.scale < d.high, d.label
+
+
+# Impact tests ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["gaussian", "lorentzian"])
+def test_an_impact_without_speed_dependence_gives_its_energy_back(law):
+    contact = ContactParams(c1=0.0, c2=0.0, half_distance=0.3, gap_law=law)
+    found = impact(5.0, contact=contact)
+    # the force begins at d_b with a jump, so a step's part of it is lost or won
+    assert found.parting_speed_mps == pytest.approx(5.0 / 3.6, rel=1e-3)
+
+
+def test_an_impact_that_the_force_never_stops_within_the_gap():
+    # by energy: 2 F_max times the depth beyond contact takes what the gap has left
+    contact = ContactParams(c1=0.0, c2=0.0)
+    found = impact(25.0, contact=contact)
+    assert found.peak_force_N == 2.0 * contact.force_max
+
+
+def test_slow_impacts_are_soft_and_no_speed_is_refused():
+    assert impact(2.0).peak_force_N < impact(15.0).peak_force_N
+    with pytest.raises(ValueError, match="speed_kmh"):
+        impact(0.0)
+
+
+def test_the_sentence_on_the_impacts_has_their_numbers(comparison):
+    text = words(comparison.impacts)
+    smallest, largest = comparison.impacts[0], comparison.impacts[-1]
+    assert f"{smallest.peak_force_N / 1e6:.1f} to {largest.peak_force_N / 1e6:.1f} MN" in text
+    assert f"{largest.peak_force_N / 4.5e6:.1f} times the largest" in text
+    assert text in " ".join(markdown(comparison).split())
+
+
 def test_page(comparison):
     page = markdown(comparison)
     assert "| A train | 10.0 | 10.5 | 0.6 | 10.0 to 11.0 | in the band |" in page
     assert "| Another | 30.0 | 21.5 |" in page
+    assert "| A train | 4.50 | 4.15 to 6.85 | 4.15 to 6.85 |" in page
+    assert "| cars derailed | 1 of 1 | 1 of 1 |" in page
     assert "**missed**" in page
     assert "nan" not in page
     assert max(len(line) for line in page.splitlines() if not line.startswith("|")) < 100
