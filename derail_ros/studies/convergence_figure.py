@@ -63,10 +63,9 @@ def _figure(studies: Sequence[Convergence], members: int) -> Figure:
     figure.text(
         0.3 / width,
         1.0 - 0.57 / height,
-        f"Ensembles of the same {members} lateral forces at each tolerance. Whiskers: 95 % "
-        "confidence of the mean. Band: that of the tightest. Ring: the default. Twins that "
-        "never part are at the end of the run.",
-        size=9.0,
+        f"The same {members} lateral forces at each tolerance. Whiskers: 95 % confidence of the "
+        "mean; band: that of the tightest; ring: the default. Twins that never part: end of run.",
+        size=8.5,
         color="#555555",
         va="center",
     )
