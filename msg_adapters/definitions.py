@@ -13,6 +13,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 COPY = Path(__file__).resolve().with_name("definitions.json")
@@ -68,6 +69,23 @@ def deserialize(data: bytes, typename: str) -> Any:
 def field_names(typename: str) -> list[str]:
     """Names of the fields of a message, in order."""
     return [name for name, _ in typestore().fielddefs[typename][1]]
+
+
+@functools.cache
+def fields_of(typename: str) -> tuple[tuple[str, str], ...]:
+    """Names and types of the fields of a message, in order: ``float64``, ``float64[]``, ...
+
+    For messages of numbers, texts, other messages and sequences of numbers.
+    """
+    found = []
+    for name, (kind, what) in typestore().fielddefs[typename][1]:
+        if kind is Nodetype.NAME:
+            found.append((name, str(what)))
+        elif kind is Nodetype.BASE:
+            found.append((name, str(what[0])))
+        else:
+            found.append((name, f"{what[0][1][0]}[]"))
+    return tuple(found)
 
 
 def main() -> None:

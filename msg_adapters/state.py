@@ -6,6 +6,7 @@ Flat arrays only; an encoder is made once a run and serialises straight from the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +19,16 @@ from msg_adapters.common import (
     RunContext,
     SentinelContext,
 )
-from msg_adapters.definitions import message_class, serialize
+from msg_adapters.definitions import fields_of, message_class, serialize
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from derail_ros.engine.sample import Sample
 
+PAD = 4
+START = PAD + 4
+"""Where a message begins in the buffer of an encoder, after its encapsulation."""
 POSE_DOUBLES = 7
 """x, y, z and the quaternion x, y, z, w."""
 
@@ -101,15 +105,57 @@ class TransformEncoder:
         return bytes(self._data[: self._size])
 
 
+class FlatEncoder:
+    """Bytes of a message of numbers and arrays of which only the numbers are renewed.
+
+    Texts and lengths of arrays are those of the message given.
+    """
+
+    def __init__(self, message: Any) -> None:
+        data = serialize(message)
+        # Doubles are aligned to 8 bytes after the encapsulation of 4, and so they are in memory.
+        self._buffer = bytearray(bytes(PAD) + data)
+        self._stamp = np.frombuffer(self._buffer, "<u4", 2, PAD + 4)
+        self._views: dict[str, NDArray[Any]] = {}
+        at = START
+        for name, kind in fields_of(message.__msgtype__):
+            if kind == "std_msgs/msg/Header":
+                at = self._after_text(at + 8)
+            elif kind == "string":
+                at = self._after_text(at)
+            else:
+                count = 1
+                if kind.endswith("[]"):
+                    at += -at % 4
+                    count = int.from_bytes(self._buffer[at : at + 4], "little")
+                    at += 4
+                dtype = np.dtype(kind.removesuffix("[]")).newbyteorder("<")
+                if count:
+                    at += -at % dtype.itemsize
+                    self._views[name] = np.frombuffer(self._buffer, dtype, count, at)
+                    at += count * dtype.itemsize
+        if at != len(self._buffer):
+            raise ValueError(f"{message.__msgtype__}: {len(self._buffer) - at} bytes left over")
+
+    def _after_text(self, at: int) -> int:
+        at += -at % 4
+        return at + 4 + int.from_bytes(self._buffer[at : at + 4], "little")
+
+    def __call__(self, stamp: int, fields: Mapping[str, Any]) -> bytes:
+        """CDR bytes with another time (ns) and other numbers."""
+        self._stamp[:] = divmod(stamp, NANOSECONDS)
+        for name, view in self._views.items():
+            view[...] = fields[name]
+        return bytes(memoryview(self._buffer)[PAD:])
+
+
 class StateEncoder:
     """The messages of one sample."""
 
     def __init__(self, params: TrainParams, context: RunContext) -> None:
         self.context = context
         self.poses = PoseEncoder(len(params.cars), context)
-        self._train_state = message_class("derail_msgs/msg/TrainState")
-        self._couplers = message_class("derail_msgs/msg/CouplerStates")
-        self._energy = message_class("derail_msgs/msg/EnergyLedger")
+        self._encoders: dict[str, FlatEncoder] = {}
         arm = {"front": 1.0, "rear": -1.0, "centre": 0.0}
         self._lateral = [
             (
@@ -142,61 +188,61 @@ class StateEncoder:
 
     def train_state(self, s: Sample) -> Any:
         """``derail_msgs/TrainState`` of a sample."""
-        c = np.ascontiguousarray
-        q, v, a = c(s.q.T), c(s.v.T), c(s.a.T)
-        on = c(s.truck_on.T, dtype=np.uint8)
-        coordinate = c(s.truck_coordinate.T)
-        rail = c(s.rail_force.T)
-        ground = c(s.ground_truck_force.transpose(1, 2, 0))
-        body = c(s.ground_body_force.T)
-        collision = c(s.collision_force.T)
-        external = c(s.external_force.T)
-        return self._train_state(
-            header=self.context.header(s.time),
-            run_id=self.context.run_id,
-            step=s.step,
-            time=s.time,
-            x=q[0],
-            y=q[1],
-            yaw=q[2],
-            vx=v[0],
-            vy=v[1],
-            yaw_rate=v[2],
-            ax=a[0],
-            ay=a[1],
-            yaw_acceleration=a[2],
-            coupler_angle_front=q[3],
-            coupler_angle_rear=q[4],
-            coupler_rate_front=v[3],
-            coupler_rate_rear=v[4],
-            coupler_acceleration_front=a[3],
-            coupler_acceleration_rear=a[4],
-            truck_status_front=on[0],
-            truck_status_rear=on[1],
-            track_coordinate_front=coordinate[0],
-            track_coordinate_rear=coordinate[1],
-            rail_force_front=rail[0],
-            rail_force_rear=rail[1],
-            brake_force=c(s.brake_force),
-            ground_force_front_x=ground[0, 0],
-            ground_force_front_y=ground[0, 1],
-            ground_force_rear_x=ground[1, 0],
-            ground_force_rear_y=ground[1, 1],
-            ground_force_body_x=body[0],
-            ground_force_body_y=body[1],
-            ground_moment=c(s.ground_moment),
-            collision_force_x=collision[0],
-            collision_force_y=collision[1],
-            collision_moment=c(s.collision_moment),
-            largest_corner_force=self._largest(s),
-            corner_force=c(s.corner_force).reshape(-1),
-            corner_gap=c(s.corner_gap).reshape(-1),
-            corner_closing_speed=c(s.corner_closing_speed).reshape(-1),
-            corner_other_car=c(s.corner_other, dtype=np.uint32).reshape(-1),
-            external_force_x=external[0],
-            external_force_y=external[1],
-            external_moment=self._external_moment(s),
-        )
+        return self._message("derail_msgs/msg/TrainState", self._train_state(s))
+
+    def _train_state(self, s: Sample) -> dict[str, Any]:
+        q, v, a = s.q.T, s.v.T, s.a.T
+        on = s.truck_on.T
+        coordinate = s.truck_coordinate.T
+        rail = s.rail_force.T
+        ground = s.ground_truck_force.transpose(1, 2, 0)
+        body = s.ground_body_force.T
+        collision = s.collision_force.T
+        external = s.external_force.T
+        return {
+            "step": s.step,
+            "time": s.time,
+            "x": q[0],
+            "y": q[1],
+            "yaw": q[2],
+            "vx": v[0],
+            "vy": v[1],
+            "yaw_rate": v[2],
+            "ax": a[0],
+            "ay": a[1],
+            "yaw_acceleration": a[2],
+            "coupler_angle_front": q[3],
+            "coupler_angle_rear": q[4],
+            "coupler_rate_front": v[3],
+            "coupler_rate_rear": v[4],
+            "coupler_acceleration_front": a[3],
+            "coupler_acceleration_rear": a[4],
+            "truck_status_front": on[0],
+            "truck_status_rear": on[1],
+            "track_coordinate_front": coordinate[0],
+            "track_coordinate_rear": coordinate[1],
+            "rail_force_front": rail[0],
+            "rail_force_rear": rail[1],
+            "brake_force": s.brake_force,
+            "ground_force_front_x": ground[0, 0],
+            "ground_force_front_y": ground[0, 1],
+            "ground_force_rear_x": ground[1, 0],
+            "ground_force_rear_y": ground[1, 1],
+            "ground_force_body_x": body[0],
+            "ground_force_body_y": body[1],
+            "ground_moment": s.ground_moment,
+            "collision_force_x": collision[0],
+            "collision_force_y": collision[1],
+            "collision_moment": s.collision_moment,
+            "largest_corner_force": self._largest(s),
+            "corner_force": s.corner_force.reshape(-1),
+            "corner_gap": s.corner_gap.reshape(-1),
+            "corner_closing_speed": s.corner_closing_speed.reshape(-1),
+            "corner_other_car": s.corner_other.reshape(-1),
+            "external_force_x": external[0],
+            "external_force_y": external[1],
+            "external_moment": self._external_moment(s),
+        }
 
     @staticmethod
     def _largest(s: Sample) -> NDArray[np.float64]:
@@ -210,61 +256,84 @@ class StateEncoder:
 
     def coupler_states(self, s: Sample) -> Any:
         """``derail_msgs/CouplerStates`` of a sample."""
-        c = np.ascontiguousarray
-        striker = c(s.striker_force.T)
-        force = c(s.coupler_force.T)
-        return self._couplers(
-            header=self.context.header(s.time),
-            run_id=self.context.run_id,
-            step=s.step,
-            time=s.time,
-            coupled=c(s.coupled, dtype=np.uint8),
-            relative_angle=c(s.coupler_angle),
-            knuckle_moment=c(s.knuckle_moment),
-            constraint_force_x=force[0],
-            constraint_force_y=force[1],
-            gap_error=c(s.coupler_gap),
-            striker_force_front=striker[0],
-            striker_force_rear=striker[1],
-        )
+        return self._message("derail_msgs/msg/CouplerStates", self._couplers(s))
+
+    def _couplers(self, s: Sample) -> dict[str, Any]:
+        striker = s.striker_force.T
+        force = s.coupler_force.T
+        return {
+            "step": s.step,
+            "time": s.time,
+            "coupled": s.coupled,
+            "relative_angle": s.coupler_angle,
+            "knuckle_moment": s.knuckle_moment,
+            "constraint_force_x": force[0],
+            "constraint_force_y": force[1],
+            "gap_error": s.coupler_gap,
+            "striker_force_front": striker[0],
+            "striker_force_rear": striker[1],
+        }
 
     def energy(self, s: Sample) -> Any:
         """``derail_msgs/EnergyLedger`` of a sample.
 
         The engine counts energy taken out of the cars; the message gives the work on them.
         """
+        return self._message("derail_msgs/msg/EnergyLedger", self._energy(s))
+
+    def _energy(self, s: Sample) -> dict[str, Any]:
         from derail_ros.engine import ENERGY_ENTRIES
 
         ledger = dict(zip(ENERGY_ENTRIES, s.energy.tolist()))
         initial = ledger["initial"]
-        return self._energy(
-            header=self.context.header(s.time),
-            run_id=self.context.run_id,
-            step=s.step,
-            time=s.time,
-            initial=initial,
-            kinetic=ledger["kinetic"],
-            striker_elastic=ledger["striker"],
-            knuckle_elastic=ledger["knuckle"],
-            work_brakes=-ledger["brakes"],
-            work_ground_trucks=-ledger["ground_trucks"],
-            work_ground_body=-ledger["ground_body"],
-            work_collisions=-ledger["collisions"],
-            work_striker_dampers=-ledger["striker_dampers"],
-            work_knuckles_released=-ledger["knuckles_released"],
-            work_external=ledger["external"],
-            stabilization_net=ledger["stabilization_net"],
-            stabilization_gross=ledger["stabilization_gross"],
+        return {
+            "step": s.step,
+            "time": s.time,
+            "initial": initial,
+            "kinetic": ledger["kinetic"],
+            "striker_elastic": ledger["striker"],
+            "knuckle_elastic": ledger["knuckle"],
+            "work_brakes": -ledger["brakes"],
+            "work_ground_trucks": -ledger["ground_trucks"],
+            "work_ground_body": -ledger["ground_body"],
+            "work_collisions": -ledger["collisions"],
+            "work_striker_dampers": -ledger["striker_dampers"],
+            "work_knuckles_released": -ledger["knuckles_released"],
+            "work_external": ledger["external"],
+            "stabilization_net": ledger["stabilization_net"],
+            "stabilization_gross": ledger["stabilization_gross"],
             # Both sides of the two balances name the same leftover, with opposite signs.
-            residual=-ledger["residual"],
-            residual_relative=-ledger["residual"] / initial if initial > 0.0 else math.nan,
+            "residual": -ledger["residual"],
+            "residual_relative": -ledger["residual"] / initial if initial > 0.0 else math.nan,
+        }
+
+    def _message(self, kind: str, fields: Mapping[str, Any]) -> Any:
+        """The message with these fields, as a serialiser wants them."""
+        types = dict(fields_of(kind))
+        arrays = {
+            name: np.ascontiguousarray(value, dtype=types[name].removesuffix("[]"))
+            for name, value in fields.items()
+            if types[name].endswith("[]")
+        }
+        header = self.context.header(float(fields["time"]))
+        return message_class(kind)(
+            header=header, run_id=self.context.run_id, **{**fields, **arrays}
         )
+
+    def _bytes(self, kind: str, fields: Mapping[str, Any]) -> bytes:
+        encoder = self._encoders.get(kind)
+        if encoder is None:
+            encoder = self._encoders[kind] = FlatEncoder(self._message(kind, fields))
+        return encoder(self.context.stamp(fields["time"]), fields)
 
     def encode(self, sample: Sample) -> list[tuple[str, bytes]]:
         """Topic name and CDR bytes of each state message of a sample."""
         return [
             ("car_poses", self.poses(sample)),
-            ("train_state", serialize(self.train_state(sample))),
-            ("coupler_states", serialize(self.coupler_states(sample))),
-            ("energy", serialize(self.energy(sample))),
+            ("train_state", self._bytes("derail_msgs/msg/TrainState", self._train_state(sample))),
+            (
+                "coupler_states",
+                self._bytes("derail_msgs/msg/CouplerStates", self._couplers(sample)),
+            ),
+            ("energy", self._bytes("derail_msgs/msg/EnergyLedger", self._energy(sample))),
         ]

@@ -28,8 +28,8 @@ from msg_adapters.definitions import serialize
 from msg_adapters.topics import TRANSFORMS
 
 EARLY = 0.002
-"""Clock and markers that are due so soon go out with what is due now: each time that the loop
-wakes up costs more than they do, s."""
+"""What is due so soon goes out with what is due now: each time that the loop wakes up costs more
+than a message does, s."""
 SLICE = 0.008
 """Wall time of physics after which requests get their turn, s."""
 SLACK = 0.010
@@ -612,12 +612,12 @@ class SimulatorCore:
         if state == State.PLAYING and self.session is not None:
             factor = self.settings.speed_factor
             self._due.tick = now + (self.session.tick_length / factor if factor > 0.0 else 0.0)
+            self._align_clock(now)
 
     def pace_changed(self) -> None:
         """Take up a new speed factor or rate."""
         now = self.wall()
         self._go(self.state)
-        self._due.clock = min(self._due.clock, now)
         self._due.markers = min(self._due.markers, now)
 
     # --- the loop ----------------------------------------------------------------------------
@@ -665,6 +665,7 @@ class SimulatorCore:
             if paced and not self._due.pending and now - self._due.tick > SLACK:
                 # Too slow, or busy elsewhere: the run falls behind and stays behind.
                 self._due.tick = now
+                self._align_clock(now)
                 self._pace.overruns += 1
             before = session.time
             try:
@@ -722,13 +723,19 @@ class SimulatorCore:
                 last = str(error)
         return f"nowhere: {last}"
 
+    def _align_clock(self, now: float) -> None:
+        """Put the clock in phase with the ticks, so that one waking up serves both."""
+        period = 1.0 / self.settings.clock_rate
+        self._due.clock = now + (self._due.tick - now) % period
+
     def _work_clock(self, now: float) -> float:
         if now >= self._due.clock - EARLY:
-            self.output.publish("/clock", serialize(reports.clock(self.stamp)))
+            self.output.publish("/clock", reports.clock(self.stamp))
             period = 1.0 / self.settings.clock_rate
             self._due.clock += period
             if self._due.clock < now:
-                self._due.clock = now + period
+                # What was missed is left out; the phase stays.
+                self._due.clock = now + (self._due.clock - now) % period
         return self._due.clock
 
     def _work_markers(self, now: float) -> float:
@@ -736,7 +743,11 @@ class SimulatorCore:
         rate = self.settings.marker_rate
         if rate <= 0.0 or self.session is None:
             return math.inf
-        if now >= self._due.markers - EARLY and (
+        early, late = EARLY, 0.0
+        if self.settings.publish_clock and self.settings.clock_rate >= rate:
+            # With the nearest message of the clock: the loop does not wake up for them alone.
+            early = late = 0.5 / self.settings.clock_rate
+        if now >= self._due.markers - early and (
             self._markers_fresh or now >= self._due.idle_markers
         ):
             self.output.publish("markers", self.session.markers(reset=self._markers_reset > 0))
@@ -744,7 +755,8 @@ class SimulatorCore:
             self._markers_fresh = False
             self._due.markers = max(self._due.markers + 1.0 / rate, now)
             self._due.idle_markers = now + IDLE_MARKERS
-        return self._due.markers if self._markers_fresh else self._due.idle_markers
+        due = self._due.markers if self._markers_fresh else self._due.idle_markers
+        return due + late
 
     # --- diagnostics -------------------------------------------------------------------------
 

@@ -52,7 +52,12 @@ RETIRED_MOST = 8
 LISTENERS_WAIT = 10.0
 """Wall time for which the first run waits for listeners (parameter await_listeners), s."""
 QUIET = 0.015
-"""Wall time between two rounds of the executor in which nothing comes, s."""
+"""Wall time for which the loop does not look for requests after it has waited for one in vain,
+unless it has nothing else to do, s."""
+SERVE = 0.004
+"""Wall time for which requests are served before the run goes on, s."""
+ROUND = 1.0
+"""Wall time between two rounds of the executor in which nothing has come, s."""
 FIRST_WAIT = 5.0
 """Wall time for which the first run waits until its first messages have arrived, s."""
 EXIT_WAIT = 5.0
@@ -352,8 +357,9 @@ def make_node_class() -> Any:
     class SimulatorNode(rclpy.node.Node):  # type: ignore[misc]
         """Services, parameters and topics around the core."""
 
-        def __init__(self, wake: Callable[[], None]) -> None:
+        def __init__(self) -> None:
             super().__init__("simulator")
+            self.woken = self.create_guard_condition(lambda: None)
             values = table.declare(self, table.SIMULATOR)
             self.auto_exit = bool(values["auto_exit"])
             self.output = NodeOutput(self)
@@ -361,7 +367,6 @@ def make_node_class() -> Any:
                 self.output.open_transforms()
             self.core = SimulatorCore(self._settings(values), self.output)
             self.guard = ClockGuard(self, self.output, bool(values["publish_clock"]))
-            self._wake = wake
             self._pool = concurrent.futures.ThreadPoolExecutor(1, "scenario")
             self._loads: list[tuple[concurrent.futures.Future[Prepared], Any]] = []
             self._prepared: Prepared | None = None
@@ -529,7 +534,7 @@ def make_node_class() -> Any:
                 self.core.prepare, request.scenario_name, request.scenario_yaml, request.speed_kmh
             )
             self._loads.append((work, begin))
-            work.add_done_callback(lambda _: self._wake())
+            work.add_done_callback(lambda _: self.woken.trigger())
 
         def _inject_rail_break(self, request: Any, response: Any) -> Any:
             answer = self.core.inject_rail_break(
@@ -586,21 +591,65 @@ def make_node_class() -> Any:
     return SimulatorNode
 
 
-def listen(executor: Any, due: float, quiet: float) -> float:
-    """Serve a request if there is one, until something is due; both are wall times.
+class Requests:
+    """Waits for requests, and has the executor serve them.
 
-    A round of the executor costs as much as publishing a whole tick. After one in which nothing
-    came the next waits until ``quiet``; returns when that is.
+    A round of rclpy's executor takes as long as publishing a whole tick: it collects all entities
+    and makes a wait set of them. Here the wait set is made once, and the executor comes only when
+    there is something to serve, and once a second for whatever else there may be. The node's guard
+    condition ``woken`` ends the waiting, from any thread.
     """
-    now = time.monotonic()
-    if now < min(due, quiet):
-        time.sleep(min(due, quiet) - now)
+
+    def __init__(self, node: Any, executor: Any) -> None:
+        self._node = node
+        self._executor = executor
+        self._quiet = 0.0
+        self._round = 0.0
+        self._collect()
+
+    def _collect(self) -> None:
+        """Make the wait set; what the node has may change, with its parameter use_sim_time."""
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
+        node = self._node
+        self._services = [service.handle for service in node.services]
+        self._subscriptions = [subscription.handle for subscription in node.subscriptions]
+        counts = (len(self._subscriptions), 1, 0, 0, len(self._services), 0)
+        self._set = rclpy_implementation.WaitSet(*counts, node.context.handle)
+
+    def wait(self, due: float) -> None:
+        """Serve what comes until something is due (wall time, s)."""
         now = time.monotonic()
-        if now >= due:
-            return quiet
-    executor.spin_once(timeout_sec=max(0.0, due - now))
-    came = time.monotonic() < due
-    return 0.0 if came else now + QUIET
+        if now < due <= self._quiet:
+            time.sleep(due - now)
+        elif self._ready(max(0.0, due - now)):
+            self._serve(self._ready)
+        elif now >= self._round:
+            self._serve(lambda: False)
+            self._collect()
+            self._round = now + ROUND
+        elif due > now:
+            self._quiet = time.monotonic() + QUIET
+
+    def _serve(self, more: Callable[[], bool]) -> None:
+        end = time.monotonic() + SERVE
+        self._executor.spin_once(timeout_sec=0.0)
+        while time.monotonic() < end and more():
+            self._executor.spin_once(timeout_sec=0.0)
+
+    def _ready(self, seconds: float = 0.0) -> bool:
+        """Whether there is a request or a message, waiting at most so long."""
+        ready = self._set
+        ready.clear_entities()
+        for handle in self._services:
+            ready.add_service(handle)
+        for handle in self._subscriptions:
+            ready.add_subscription(handle)
+        ready.add_guard_condition(self._node.woken.handle)
+        ready.wait(int(seconds * NANOSECONDS))
+        return bool(
+            ready.get_ready_entities("service") or ready.get_ready_entities("subscription")
+        )
 
 
 def _run(stop: Stop, arguments: Sequence[str]) -> int:
@@ -617,10 +666,10 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         check_interfaces()
         executor = SingleThreadedExecutor()
-        node = make_node_class()(executor.wake)
+        node = make_node_class()()
     executor.add_node(node)
+    requests = Requests(node, executor)
     code = 0
-    quiet = 0.0
     try:
         node.get_logger().info("loading the kernels (they are compiled once a version)")
         stop.during(warm_up)
@@ -638,7 +687,7 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
             if node.auto_exit and core.finished:
                 code = 1 if core.session.failure else 0
                 break
-            quiet = listen(executor, due, quiet)
+            requests.wait(due)
         # Answers that are ready still go out.
         for _ in range(3):
             executor.spin_once(timeout_sec=0.0)
