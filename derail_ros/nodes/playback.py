@@ -244,6 +244,11 @@ class Playback:
             self.output.publish(topic, bytes(data))
         self._next = next(self._items, None)
 
+    def send_present(self) -> None:
+        """Publish what belongs to the present moment, without going on."""
+        while self._next is not None and self._next[0] <= self.now:
+            self._send()
+
     def play_next(self) -> bool:
         """Publish the next message; only while paused, and not at the end."""
         if not self._paused or self._next is None:

@@ -17,12 +17,14 @@ from derail_ros.nodes.playback import Playback
 from derail_ros.nodes.process import StartError, Stop, run_node, starting
 from derail_ros.nodes.simulator import CLOCK_GRACE, ClockGuard
 from derail_ros.review.storage import BagError, Channel
-from msg_adapters.common import NANOSECONDS, time_message
-from msg_adapters.definitions import message_class, serialize
+from msg_adapters.common import NANOSECONDS
+from msg_adapters.reports import clock
 from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
 
 LISTENERS_WAIT = 10.0
 """Wall time for which playback waits for listeners (parameter await_listeners), s."""
+FIRST_WAIT = 5.0
+"""Wall time for which playback waits until its first messages have arrived, s."""
 EXIT_WAIT = 2.0
 """Wall time for which the end waits until everything has arrived, s."""
 
@@ -69,8 +71,13 @@ class NodeOutput:
             self.publishers[channel.topic] = self._publisher(channel)
 
     def _publisher(self, channel: Channel) -> Any:
+        from rclpy.qos_overriding_options import QoSOverridingOptions
+
         return self.node.create_publisher(
-            self._kinds[channel.topic], channel.topic, channel_qos(channel)
+            self._kinds[channel.topic],
+            channel.topic,
+            channel_qos(channel),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
     def publish(self, topic: str, data: bytes) -> None:
@@ -135,8 +142,7 @@ class NodeOutput:
     def tick(self, stamp: int) -> None:
         """Publish the time (ns)."""
         if self._clock is not None:
-            clock = message_class("rosgraph_msgs/msg/Clock")(time_message(stamp))
-            self._clock.publish(serialize(clock))
+            self._clock.publish(clock(stamp))
 
     def settle(self, seconds: float) -> None:
         """Wait until everything sent has arrived, for at most so long."""
@@ -254,6 +260,11 @@ def make_node_class() -> Any:
             elif self._paused:
                 self.playback.seek(self.playback.start)
             if not self._paused:
+                if self._listeners and not missing:
+                    # Matched here, a subscriber may not have matched there yet: its first
+                    # messages come again until it has, but only as many as the depth.
+                    self.playback.send_present()
+                    self.output.settle(FIRST_WAIT)
                 self.playback.resume()
             self.get_logger().info("paused" if self._paused else "playing")
             return True

@@ -19,7 +19,7 @@ from derail_ros.recording import read_manifest
 from derail_ros.review.storage import open_bag
 from msg_adapters.common import stamp_of
 from msg_adapters.topics import STATE_TOPICS
-from tests.nodes.graph import PAUSED, PLAYING, Graph, Process, graph
+from tests.nodes.graph import DEEP, PAUSED, PLAYING, Graph, Process, graph
 
 pytestmark = pytest.mark.ros
 
@@ -43,11 +43,6 @@ def goes_on(made: Graph, seconds: float = 1.0) -> None:
     made.until(lambda: stamp_of(states[-1]) > at + seconds * 1e9, "the run goes on")
 
 
-def holes(times: list[int]) -> int:
-    """State messages that are missing between others."""
-    return sum(round((b - a) / 20_000_000) - 1 for a, b in zip(times, times[1:]))
-
-
 def without_gaps(times: list[int]) -> bool:
     return all(b - a == 20_000_000 for a, b in zip(times, times[1:]))
 
@@ -59,7 +54,7 @@ def test_recorders_and_clients_that_are_killed(tmp_path, capsys) -> None:
             name: made.start("recorder", "-r", f"__node:={name}", path=tmp_path / name)
             for name in ("first", "second")
         }
-        simulator = made.simulator(scenario="base_train", await_listeners=2)
+        simulator = made.simulator(scenario="base_train", await_listeners=2, **DEEP)
         states = made.listen("train_state")["train_state"]
         goes_on(made, 3.0)
         last = stamp_of(states[-1])
@@ -84,16 +79,16 @@ def test_recorders_and_clients_that_are_killed(tmp_path, capsys) -> None:
         assert recorders["second"].end() == 0, recorders["second"].output
         assert simulator.end() == 0, simulator.output
     assert "Traceback" not in simulator.output + recorders["second"].output
-    # A machine that is too busy makes a listener miss some; never in silence.
     missed = read_manifest(tmp_path / "second").settings["missed"]
+    assert not [n for n, c in missed.items() if (c["lost"] or c["gaps"]) and n != "/markers"]
     whole = stamps(tmp_path / "second")
-    assert whole[0] == 0 and holes(whole) == missed["/train_state"]["gaps"] < 0.1 * len(whole)
+    assert whole[0] == 0 and without_gaps(whole)
 
     assert main(["repair", str(tmp_path / "first")]) == 0, capsys.readouterr().err
     repaired = tmp_path / "first_repaired"
     assert open_bag(repaired).intact
     times = stamps(repaired)
-    assert times[0] == 0 and holes(times) < 0.1 * len(times)
+    assert times[0] == 0 and without_gaps(times)
     # The last second may be lost; what was on its way when the recorder was killed as well.
     assert times[-1] > last - 1_250_000_000
     for topic in STATE_TOPICS:
@@ -116,7 +111,7 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
     with graph(tmp_path) as made:
         recorder = made.start("recorder", path=tmp_path / "heard", stop_when_final=True)
         simulator = made.simulator(
-            scenario="base_train", await_listeners=1, record=tmp_path / "own"
+            scenario="base_train", await_listeners=1, record=tmp_path / "own", **DEEP
         )
         made.listen("train_state", "/clock")
         made.until(lambda: made.heard["/clock"], "the clock")
@@ -145,8 +140,7 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
     heard = stamps(tmp_path / "heard")
     manifest = read_manifest(tmp_path / "heard")
     assert manifest.messages["/train_state"] == len(heard)
-    assert heard[0] == 0 and heard[-1] >= last - 1_000_000_000
-    assert holes(heard) == manifest.settings["missed"]["/train_state"]["gaps"] < 0.1 * len(heard)
+    assert without_gaps(heard) and heard[0] == 0 and heard[-1] >= last
     assert main(["repair", str(tmp_path / "own")]) == 0, capsys.readouterr().err
     times = stamps(tmp_path / "own_repaired")
     assert without_gaps(times) and times[0] == 0 and times[-1] > last - 1_250_000_000
@@ -158,7 +152,7 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
 
 def test_a_subscriber_that_stands_still_slows_nobody(tmp_path) -> None:
     with graph(tmp_path) as made:
-        made.simulator(scenario="base_train")
+        made.simulator(scenario="base_train", **DEEP)
         slow = made.ear(*STATE_TOPICS, "events", "markers")
         states = made.listen("train_state")["train_state"]
         goes_on(made, 0.1)
@@ -167,7 +161,7 @@ def test_a_subscriber_that_stands_still_slows_nobody(tmp_path) -> None:
         first = len(states)
         goes_on(made, 6.0)
         times = [stamp_of(m) for m in states[first:]]
-        assert holes(times) < 0.1 * len(times) and made.ask("get_events").success
+        assert without_gaps(times) and made.ask("get_events").success
         slow.signal(signal.SIGCONT)
         before = slow.output.count("train_state")
         made.until(lambda: slow.output.count("train_state") > before + 20, "it hears again")
