@@ -111,8 +111,12 @@ lint: env  ## ruff (lint and format) and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Those with a ROS graph run one after the other: they look at times.
 test: lint  ## everything that must hold, within minutes
-	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and not ros" -n auto \
+	  --maxprocesses 8 --dist loadfile $(PYTEST_ARGS)
+	@if [ "$(ROS)" != 0 ]; then \
+	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and ros" $(PYTEST_ARGS); fi
 
 REPEATS ?= 10
 verify: env  ## the slow tests; those with a ROS graph REPEATS times, and on Jazzy's wheels

@@ -55,6 +55,7 @@ TEST = [
     *VIDEO,
     "pytest>=8",
     "pytest-timeout>=2.3",
+    "pytest-xdist>=3.5",
     "hypothesis>=6.100",
     "scipy>=1.11",
     "mcap>=1.1",

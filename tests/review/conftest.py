@@ -11,11 +11,11 @@ import pytest
 
 from derail_ros.recording import record_run
 from derail_ros.review.bag import Run, read_bag
+from tests.conftest import UNCHECKED
 from tests.nodes.support import simulation, small
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 DRIVERS = ("chromedriver", "chromium.chromedriver")
-_unchecked: list[str] = []
 
 
 def find_browser() -> tuple[str, str] | str:
@@ -35,8 +35,7 @@ def start_browser(*arguments: str, size: tuple[int, int] = (1300, 950)) -> Any:
     """A headless browser; the test that asks for it is skipped, loudly, where there is none."""
     found = find_browser()
     if isinstance(found, str):
-        _unchecked.append(found)
-        pytest.skip(f"THE REPLAY PAGE IS NOT CHECKED: {found}")
+        pytest.skip(f"{UNCHECKED}: {found}")
     from selenium import webdriver
     from selenium.webdriver.chrome.options import Options
     from selenium.webdriver.chrome.service import Service
@@ -55,13 +54,6 @@ def start_browser(*arguments: str, size: tuple[int, int] = (1300, 950)) -> Any:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     return webdriver.Chrome(options=options, service=Service(found[1]))
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Say it where nobody can overlook it."""
-    if _unchecked:
-        terminalreporter.section("THE REPLAY PAGE WAS NOT CHECKED", sep="!", red=True, bold=True)
-        terminalreporter.line(f"{_unchecked[0]}; `make verify` fails without it.", red=True)
 
 
 @pytest.fixture(scope="session")
