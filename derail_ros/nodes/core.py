@@ -333,7 +333,7 @@ class SimulatorCore:
             )
         )
         self._sequence += 1
-        self._emit("command_log", self.stamp, data)
+        self._emit("command_log", context.stamp(time), data)
         if not accepted:
             self._pace.refused += 1
             if self.session is not None:

@@ -174,7 +174,6 @@ class Session:
         if live_transforms is not None:
             self._transforms = TransformEncoder(len(self.params.cars), self.context)
         self._done = _Published()
-        self._log_stamp = base
         self._breaks: list[tuple[float, float]] = []
         self._collisions: list[Any] = []
 
@@ -214,9 +213,7 @@ class Session:
 
     def _out(self, topic: str, message: Any, stamp: int) -> None:
         data = message if isinstance(message, bytes) else serialize(message)
-        # A recording is in order of time, though a peak is known only after it has passed.
-        self._log_stamp = max(self._log_stamp, stamp)
-        self._emit(topic, self._log_stamp, data)
+        self._emit(topic, stamp, data)
 
     def begin(self) -> None:
         """Give out what is known at the start: train, track, first events and state."""

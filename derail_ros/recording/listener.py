@@ -107,7 +107,7 @@ class _Bag:
         first = next(iter(topics), "/")
         manifest_topic = f"{first.rpartition('/')[0]}/{MANIFEST.name}"
         self.topics = topics
-        self.recorder = RunRecorder(path, storage, {manifest_topic: MANIFEST, **topics})
+        self.recorder = RunRecorder(path, storage, {manifest_topic: MANIFEST, **topics}, 0)
         self.manifest = Manifest(settings={"recorded_by": "listener", "storage": storage})
         self.heard = {name: Heard() for name in topics}
         self.runs: set[str] = set()

@@ -7,6 +7,8 @@ by a scan of the file.
 
 from __future__ import annotations
 
+import heapq
+import math
 import os
 import queue
 import threading
@@ -19,12 +21,18 @@ from rosbags.rosbag2 import WriterError
 
 from derail_ros.recording.files import STORAGE, add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME, Manifest
+from msg_adapters.common import NANOSECONDS
 from msg_adapters.definitions import serialize
 from msg_adapters.reports import string
 from msg_adapters.topics import MANIFEST, TOPICS, Topic, bag_qos
 
 FLUSH_EVERY = 1.0
 """Wall time after which what was handed over is on disk at the latest, s."""
+LATE = NANOSECONDS // 4
+"""Simulation time for which messages wait for earlier ones, ns: that a contact's peak is one is
+known up to 0.17 s later (Mississauga)."""
+LATE_WALL = 0.5 * FLUSH_EVERY
+"""Wall time for which they wait at most, s."""
 QUEUE_SIZE = 20_000
 """Messages that may wait; beyond, the caller waits: nothing is dropped."""
 
@@ -55,6 +63,9 @@ class RunRecorder:
         Topics of the recording under the names that they have there: name -> topic. All are
         announced at the beginning, latched ones first, so a topic without messages is there too.
         Default: those that the simulator records.
+    late
+        Simulation time (ns) for which messages wait for earlier ones, so that the file is in order
+        of time.
 
     Raises
     ------
@@ -67,6 +78,7 @@ class RunRecorder:
         path: str | os.PathLike[str],
         storage: str = "mcap",
         topics: dict[str, Topic] | None = None,
+        late: int = LATE,
     ) -> None:
         if storage not in STORAGE:
             raise RecordingError(f"storage must be one of {', '.join(STORAGE)}, not {storage!r}")
@@ -74,6 +86,7 @@ class RunRecorder:
         self.storage = storage
         self.topics = recorded_topics() if topics is None else dict(topics)
         self.counts: dict[str, int] = dict.fromkeys(self.topics, 0)
+        self._late = late
         self._last_stamp = 0
         try:
             self._writer = bag_writer(self.path, storage)
@@ -182,26 +195,37 @@ class RunRecorder:
 
     def _write_all(self, connections: dict[str, Any]) -> None:
         flush_at: float | None = None
+        # By time; those of equal times stay in the order in which they came.
+        waiting: list[tuple[int, int, float, str, bytes]] = []
+        newest = taken = 0
+
+        def write_until(stamp: float, moment: float) -> None:
+            while waiting and (waiting[0][0] <= stamp or waiting[0][2] <= moment):
+                when, _, _, name, content = heapq.heappop(waiting)
+                self._writer.write(connections[name], when, content)
+
         while True:
             wait = None if flush_at is None else max(0.0, flush_at - time.monotonic())
             try:
                 topic, stamp, data = self._queue.get(timeout=wait)
             except queue.Empty:
-                self._flush()
-                flush_at = None
-                continue
+                topic = None
+            now = time.monotonic()
             if topic is _CLOSE:
+                write_until(math.inf, now)
                 if data is not None:
                     self._writer.set_custom_data(CUSTOM_DATA, data)
                 self._writer.close()
                 return
-            self._writer.write(connections[topic], stamp, data)
-            now = time.monotonic()
-            if flush_at is None:
-                flush_at = now + 0.8 * FLUSH_EVERY
-            elif now >= flush_at:
+            if topic is not None:
+                taken += 1
+                newest = max(newest, stamp)
+                heapq.heappush(waiting, (stamp, taken, now, topic, data))
+                flush_at = now + 0.4 * FLUSH_EVERY if flush_at is None else flush_at
+            write_until(newest - self._late, now - LATE_WALL)
+            if flush_at is not None and now >= flush_at:
                 self._flush()
-                flush_at = None
+                flush_at = now + 0.4 * FLUSH_EVERY if waiting else None
 
     def _flush(self) -> None:
         """Bring to disk what the writer still holds."""

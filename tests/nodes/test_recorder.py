@@ -80,7 +80,8 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
         if topic.recorded and topic.name != "markers":
             heard_bytes, own_bytes = first.get(name, []), second.get(name, [])
             assert len(heard_bytes) == len(own_bytes), name
-            for (_, a), (_, b) in zip(heard_bytes, own_bytes):
+            for (at, a), (own_at, b) in zip(heard_bytes, own_bytes):
+                assert at == own_at, name
                 # On the wire a message is filled up to a multiple of four bytes.
                 assert a[: len(b)] == b and len(a) - len(b) < 4, name
     for name in STATE_TOPICS:

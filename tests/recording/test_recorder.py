@@ -31,7 +31,7 @@ from derail_ros.scenario import loads_scenario
 from msg_adapters import reports
 from msg_adapters.common import stamp_of
 from msg_adapters.definitions import deserialize, serialize
-from msg_adapters.topics import STATE_TOPICS
+from msg_adapters.topics import STATE_TOPICS, TOPICS
 from tests.nodes.support import OFF_THE_TRACK, small
 
 
@@ -77,6 +77,17 @@ def test_every_topic_is_there_without_gaps(recorded) -> None:
     assert len(found["/markers"]) == pytest.approx(15 * simulation.time, abs=2)
     assert len(found["/outcome"]) == int(simulation.time) + 2
     assert {name: len(messages) for name, messages in found.items()} == manifest.messages
+
+
+def test_times_are_those_of_the_headers(recorded) -> None:
+    """Also of a contact's peak, which is known only when it has passed."""
+    path, _, _ = recorded
+    found = read(path)
+    assert any(not message.is_final for _, message in found["/collisions"])
+    for name, topic in TOPICS.items():
+        if topic.recorded and topic.msgtype.startswith("derail_msgs/"):
+            for stamp, message in found[f"/{name}"]:
+                assert stamp == stamp_of(message), name
 
 
 def test_events_and_contacts_are_those_of_the_engine(recorded) -> None:
