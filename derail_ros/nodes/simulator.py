@@ -608,7 +608,7 @@ class Requests:
         self._collect()
 
     def _collect(self) -> None:
-        """Make the wait set; what the node has may change, with its parameter use_sim_time."""
+        """Make the wait set."""
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
         node = self._node
@@ -626,16 +626,18 @@ class Requests:
             self._serve(self._ready)
         elif now >= self._round:
             self._serve(lambda: False)
-            self._collect()
             self._round = now + ROUND
         elif due > now:
             self._quiet = time.monotonic() + QUIET
 
     def _serve(self, more: Callable[[], bool]) -> None:
         end = time.monotonic() + SERVE
-        self._executor.spin_once(timeout_sec=0.0)
-        while time.monotonic() < end and more():
+        while True:
             self._executor.spin_once(timeout_sec=0.0)
+            # What the node has may have changed: the parameter use_sim_time brings a subscription.
+            self._collect()
+            if time.monotonic() >= end or not more():
+                break
 
     def _ready(self, seconds: float = 0.0) -> bool:
         """Whether there is a request or a message, waiting at most so long."""

@@ -333,6 +333,15 @@ def test_parameters_change_or_say_why_not(fresh: Graph) -> None:
         assert told.read_only == parameter.read_only and told.description
 
 
+def test_simulation_time_for_itself_comes_and_goes(fresh: Graph) -> None:
+    """The parameter of every node brings a subscription, and takes it away again."""
+    load(fresh)
+    for value in (True, False, True, False):
+        assert fresh.set_parameter("use_sim_time", value).successful
+        at = fresh.heard["train_state"][-1].time
+        fresh.until(lambda t=at: fresh.heard["train_state"][-1].time > t + 0.2, "the run goes on")
+
+
 def test_all_parameters_together_have_values(fresh: Graph) -> None:
     """One without would make `ros2 param dump` come out empty."""
     names = [parameter.name for parameter in SIMULATOR]
