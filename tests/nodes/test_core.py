@@ -179,6 +179,24 @@ def test_the_clock_goes_on_while_paused(bench: Bench) -> None:
     assert bench.ticks() == 0
 
 
+@pytest.mark.parametrize(
+    ("clock", "markers"), [(100.0, 15.0), (37.0, 11.0), (60.0, 40.0), (5.0, 20.0)]
+)
+def test_clock_and_markers_keep_their_rates_whatever_they_are(clock, markers) -> None:
+    """Woken up when it wants to be: what goes out together is not sent more often, nor less."""
+    bench = Bench(clock_rate=clock, marker_rate=markers)
+    bench.load(ENDLESS)
+    end, woken = bench.wall.now + 10.0, 0
+    while bench.wall.now < end:
+        bench.wall.now = max(bench.core.work(), bench.wall.now + 1e-4)
+        woken += 1
+    assert len(bench.heard.of("/clock")) == pytest.approx(10.0 * clock, abs=2)
+    assert len(bench.heard.of("markers")) == pytest.approx(10.0 * markers, abs=3)
+    assert bench.ticks() == pytest.approx(500, abs=2)
+    if (clock, markers) == (100.0, 15.0):
+        assert woken < 1050, "one waking up serves the clock, the ticks and the markers"
+
+
 def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(2.0)
