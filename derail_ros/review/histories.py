@@ -1,7 +1,8 @@
 """Histories of the cars as tables: every recorded state, every quantity, units in the names.
 
 The tables hold what the source model writes: coordinates, velocities, accelerations and the
-coupler error; brake, ground, striker, knuckle and collision forces. Rows are written as the
+coupler error; brake, ground, striker, knuckle and collision forces; force, gap and closing speed
+at each corner. Rows are written as the
 recording is read, so a long recording needs no more memory than a short one.
 """
 
@@ -63,10 +64,14 @@ STATE_COLUMNS: tuple[tuple[str, str], ...] = (
 )
 """Field of ``derail_msgs/TrainState`` and name of its column."""
 
-CORNER_COLUMNS = tuple(
-    (k, f"corner_force_{name}_N")
-    for k, name in enumerate(("front_left", "front_right", "rear_left", "rear_right"))
+CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
+CORNER_COLUMNS: tuple[tuple[str, str], ...] = (
+    ("corner_force", "corner_force_{}_N"),
+    ("corner_gap", "corner_gap_{}_m"),
+    ("corner_closing_speed", "corner_closing_speed_{}_m_s"),
+    ("corner_other_car", "corner_other_car_{}"),
 )
+"""Corner field of ``derail_msgs/TrainState`` and name of its column at each of the corners."""
 
 STRIKER_COLUMNS = (
     ("striker_force_front", "striker_force_front_N"),
@@ -178,9 +183,13 @@ def state_rows(m: Any) -> Row:
     for field, name in STATE_COLUMNS:
         values = np.asarray(getattr(m, field))
         columns[name] = values.astype(np.int64) if name in INTEGERS else values
-    corners = np.asarray(m.corner_force).reshape(n, -1)
-    for k, name in CORNER_COLUMNS:
-        columns[name] = np.ascontiguousarray(corners[:, k])
+    for axis in ("x", "y"):
+        parts = (columns[f"ground_force_{part}_{axis}_N"] for part in ("front", "rear", "body"))
+        columns[f"ground_force_total_{axis}_N"] = sum(parts)
+    for field, name in CORNER_COLUMNS:
+        corners = np.asarray(getattr(m, field)).reshape(n, len(CORNERS))
+        for k, corner in enumerate(CORNERS):
+            columns[name.format(corner)] = np.ascontiguousarray(corners[:, k])
     return columns
 
 

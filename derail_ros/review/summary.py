@@ -413,7 +413,8 @@ def _cars(run: Run, rows: list[dict[str, Any]]) -> list[str]:
                 f" {words.force(s['force_N'])}"
             )
         if len(struck) > 4:
-            lines.append(f"              and {len(struck) - 4} lighter ones")
+            more = len(struck) - 4
+            lines.append(f"              and {more} lighter one{'s' if more > 1 else ''}")
         rest = row["at_rest"]
         end = row["end"]
         where = f"x = {end['x_m']:.1f} m, y = {end['y_m']:.1f} m"

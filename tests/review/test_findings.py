@@ -196,7 +196,7 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
     assert len(cars["time_s"]) == len(run.time) * run.n
     assert len(couplings["time_s"]) == len(run.time) * (run.n - 1)
     assert len(tables["events"]["time_s"]) == len(run.events)
-    k = 0
+    k = touching = 0
     with Reader(bag) as reader:
         chosen = [c for c in reader.connections if c.topic == "/train_state"]
         for _, _, data in list(reader.messages(chosen))[::40]:
@@ -205,8 +205,24 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
             for field, name in histories.STATE_COLUMNS:
                 for i in range(run.n):
                     assert float(cars[name][row + i]) == float(getattr(m, field)[i]), name
+            for field, pattern in histories.CORNER_COLUMNS:
+                for j in range(4 * run.n):
+                    name = pattern.format(histories.CORNERS[j % 4])
+                    cell, sent = cars[name][row + j // 4], float(getattr(m, field)[j])
+                    if math.isnan(sent):
+                        assert cell == "" or math.isnan(float(cell)), name
+                    else:
+                        assert float(cell) == sent, name
+                        touching += field == "corner_gap"
+            for axis in "xy":
+                total = sum(
+                    getattr(m, f"ground_force_{part}_{axis}") for part in ("front", "rear", "body")
+                )
+                written = cars[f"ground_force_total_{axis}_N"][row : row + run.n]
+                assert [float(cell) for cell in written] == list(total)
             k += 1
     assert k > 5
+    assert touching > 5, "corners in contact among the states looked at"
     assert float(tables["energy"]["kinetic_J"][-1]) == run.energy["kinetic"][-1]
     hardest = summary.by_severity(run)[0]
     assert float(tables["collisions"]["peak_corner_force_N"][0]) == hardest.peak_force
@@ -215,10 +231,9 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
 def test_every_field_of_the_states_is_exported() -> None:
     from msg_adapters.definitions import field_names
 
-    exported = {f for f, _ in histories.STATE_COLUMNS} | {"corner_force"}
-    left_out = {"corner_gap", "corner_closing_speed", "corner_other_car"}
+    exported = {f for f, _ in (*histories.STATE_COLUMNS, *histories.CORNER_COLUMNS)}
     known = {"header", "run_id", "step", "time"}
-    assert set(field_names("derail_msgs/msg/TrainState")) == exported | left_out | known
+    assert set(field_names("derail_msgs/msg/TrainState")) == exported | known
     exported = {f for f, _ in (*histories.COUPLING_COLUMNS, *histories.STRIKER_COLUMNS)}
     assert set(field_names("derail_msgs/msg/CouplerStates")) == exported | known
     ledger = set(field_names("derail_msgs/msg/EnergyLedger"))
@@ -227,6 +242,7 @@ def test_every_field_of_the_states_is_exported() -> None:
 
 def test_columns_have_their_units() -> None:
     unitless = {"car", "coupled", "truck_front_on_rails", "truck_rear_on_rails"}
+    unitless |= {"corner_other_car_{}"}
     units = ("_m", "_rad", "_m_s", "_rad_s", "_m_s2", "_rad_s2", "_N", "_N_m", "_J", "_s", "_kg")
     names = [n for _, n in (*histories.STATE_COLUMNS, *histories.COUPLING_COLUMNS)]
     names += [n for _, n in (*histories.CORNER_COLUMNS, *histories.STRIKER_COLUMNS)]
