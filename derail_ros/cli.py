@@ -302,7 +302,7 @@ def play(
     paused: Annotated[bool, typer.Option("--paused", help="Wait for resume.")] = False,
     clock: Annotated[bool, typer.Option(help="Publish /clock.")] = True,
 ) -> int:
-    """Publish a recording on a ROS 2 graph: the node ``player``."""
+    """Publish a recording on a ROS 2 graph: the node player."""
     from derail_ros.commands import play as command
 
     return command.run(bag, rate, start, loop, paused, clock)
