@@ -62,6 +62,7 @@ TEST = [
     "mcap-ros2-support>=0.5",
     "selenium>=4.15",
     "sympy>=1.12",
+    "mujoco>=3",
     "jsonschema>=4",
     "setuptools>=68",
     "catkin-pkg>=1",
