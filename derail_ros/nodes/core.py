@@ -157,6 +157,7 @@ class _Due:
 
     tick: float = 0.0
     clock: float = 0.0
+    clock_shift: float = 0.0
     markers: float = 0.0
     idle_markers: float = 0.0
     diagnostics: float = 0.0
@@ -610,15 +611,30 @@ class SimulatorCore:
         self.state = state
         now = self.wall()
         if state == State.PLAYING and self.session is not None:
-            factor = self.settings.speed_factor
-            self._due.tick = now + (self.session.tick_length / factor if factor > 0.0 else 0.0)
-            self._align_clock(now)
+            self._due.tick = now + self._tick_period(self.session)
+            self._due.pending = False
+            self._align_clock()
+
+    def _tick_period(self, session: Session) -> float:
+        """Wall time of a tick, s."""
+        factor = self.settings.speed_factor
+        return session.tick_length / factor if factor > 0.0 else 0.0
 
     def pace_changed(self) -> None:
-        """Take up a new speed factor or rate."""
-        now = self.wall()
-        self._go(self.state)
-        self._due.markers = min(self._due.markers, now)
+        """Take up a new speed factor or rate.
+
+        Nothing comes later for it: a client that changes parameters all the time, by a slider,
+        would hold up the run.
+        """
+        now, due, settings = self.wall(), self._due, self.settings
+        if self.session is not None:
+            # After a time without a pace nothing is late.
+            tick = due.tick if now - due.tick <= SLACK else now
+            due.tick = min(tick, now + self._tick_period(self.session))
+        due.clock = min(due.clock, now + 1.0 / settings.clock_rate)
+        self._align_clock()
+        if settings.marker_rate > 0.0:
+            due.markers = min(due.markers, now + 1.0 / settings.marker_rate)
 
     # --- the loop ----------------------------------------------------------------------------
 
@@ -648,7 +664,7 @@ class SimulatorCore:
         next_time = min(next_time, self._due.diagnostics)
         if active:
             free = self._stepping is not None or settings.speed_factor <= 0.0
-            next_time = min(next_time, now if free or self._due.pending else self._due.tick)
+            next_time = min(next_time, now if free else self._due.tick)
         return next_time
 
     def _work_ticks(self, now: float) -> None:
@@ -665,7 +681,7 @@ class SimulatorCore:
             if paced and not self._due.pending and now - self._due.tick > SLACK:
                 # Too slow, or busy elsewhere: the run falls behind and stays behind.
                 self._due.tick = now
-                self._align_clock(now)
+                self._align_clock()
                 self._pace.overruns += 1
             before = session.time
             try:
@@ -679,7 +695,7 @@ class SimulatorCore:
                 self._markers_fresh = True
                 self._pace.simulated += session.time - before
                 if paced:
-                    self._due.tick += session.tick_length / factor
+                    self._due.tick += self._tick_period(session)
                 if self._stepping is not None:
                     self._stepping.left -= 1
                 if session.finished:
@@ -723,20 +739,27 @@ class SimulatorCore:
                 last = str(error)
         return f"nowhere: {last}"
 
-    def _align_clock(self, now: float) -> None:
-        """Put the clock in phase with the ticks, so that one waking up serves both."""
+    def _align_clock(self) -> None:
+        """Put the clock in phase with the ticks, so that one waking up serves both.
+
+        Each message is moved by half a period at most, and by as much as the others: the rate
+        stays, however often the ticks fall behind.
+        """
         period = 1.0 / self.settings.clock_rate
-        self._due.clock = now + (self._due.tick - now) % period
+        off = self._due.tick - self._due.clock
+        self._due.clock_shift = (off + 0.5 * period) % period - 0.5 * period
 
     def _work_clock(self, now: float) -> float:
-        if now >= self._due.clock - EARLY:
+        due = self._due
+        if now >= due.clock + due.clock_shift - EARLY:
             self.output.publish("/clock", reports.clock(self.stamp))
             period = 1.0 / self.settings.clock_rate
-            self._due.clock += period
-            if self._due.clock < now:
+            due.clock += period
+            late = now - (due.clock + 0.5 * period)
+            if late > 0.0:
                 # What was missed is left out; the phase stays.
-                self._due.clock = now + (self._due.clock - now) % period
-        return self._due.clock
+                due.clock += period * math.ceil(late / period)
+        return due.clock + due.clock_shift
 
     def _work_markers(self, now: float) -> float:
         """Send markers when there are new ones, and now and then for those who come late."""

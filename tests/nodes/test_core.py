@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from derail_ros.engine import Simulation
+from derail_ros.nodes import core
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore, State
 from derail_ros.recording import RecordingError, read_manifest
 from derail_ros.recording.run import record_run
@@ -70,6 +73,19 @@ class Bench:
         for _ in range(round(seconds / step)):
             self.wall.now += step
             self.core.work()
+
+    def run(self, seconds: float, each: float = math.inf, do: Callable[[], Any] = int) -> int:
+        """Work whenever there is work, and do something now and then; gives how often."""
+        end, woken = self.wall.now + seconds, 0
+        again = self.wall.now + each
+        while self.wall.now < end:
+            due = self.core.work()
+            self.wall.now = min(max(due, self.wall.now + 1e-4), again)
+            woken += 1
+            if self.wall.now >= again:
+                do()
+                again += each
+        return woken
 
     def ticks(self) -> int:
         return len(self.heard.of("train_state"))
@@ -186,15 +202,84 @@ def test_clock_and_markers_keep_their_rates_whatever_they_are(clock, markers) ->
     """Woken up when it wants to be: what goes out together is not sent more often, nor less."""
     bench = Bench(clock_rate=clock, marker_rate=markers)
     bench.load(ENDLESS)
-    end, woken = bench.wall.now + 10.0, 0
-    while bench.wall.now < end:
-        bench.wall.now = max(bench.core.work(), bench.wall.now + 1e-4)
-        woken += 1
+    woken = bench.run(10.0)
     assert len(bench.heard.of("/clock")) == pytest.approx(10.0 * clock, abs=2)
     assert len(bench.heard.of("markers")) == pytest.approx(10.0 * markers, abs=3)
     assert bench.ticks() == pytest.approx(500, abs=2)
     if (clock, markers) == (100.0, 15.0):
         assert woken < 1050, "one waking up serves the clock, the ticks and the markers"
+
+
+def test_the_clock_keeps_its_rate_when_the_ticks_fall_behind_all_the_time() -> None:
+    bench = Bench(speed_factor=1000.0)
+    bench.load(ENDLESS)
+    session = bench.core.session
+    advance = session.advance
+
+    def costly(budget: float) -> bool:
+        bench.wall.now += 1e-4
+        return advance()
+
+    session.advance = costly
+    bench.run(3.0)
+    assert bench.core._pace.overruns > 200
+    assert len(bench.heard.of("/clock")) == pytest.approx(300, abs=5)
+
+
+def test_a_client_that_changes_parameters_all_the_time_holds_up_nothing(bench: Bench) -> None:
+    """A slider: a change comes more often than a tick."""
+    bench.load(ENDLESS)
+
+    bench.run(3.0, each=0.015, do=bench.core.pace_changed)
+    assert bench.ticks() == pytest.approx(150, abs=2)
+    assert len(bench.heard.of("/clock")) == pytest.approx(300, abs=3)
+    assert len(bench.heard.of("markers")) == pytest.approx(45, abs=3)
+    assert bench.core._pace.overruns == 0
+
+
+@pytest.mark.parametrize("state", [State.PLAYING, State.PAUSED])
+def test_a_rate_that_is_raised_is_taken_up_at_once(state) -> None:
+    bench = Bench(speed_factor=0.01, clock_rate=1.0, marker_rate=0.01)
+    bench.load(ENDLESS)
+    bench.core.set_state(state)
+    bench.run(1.5)
+    bench.heard.raw.clear()
+    settings = bench.core.settings
+    settings.speed_factor, settings.clock_rate, settings.marker_rate = 1.0, 100.0, 15.0
+    bench.core.pace_changed()
+    bench.run(1.0)
+    assert len(bench.heard.of("/clock")) == pytest.approx(100, abs=2)
+    playing = state == State.PLAYING
+    assert bench.ticks() == pytest.approx(50 if playing else 0, abs=2)
+    assert len(bench.heard.of("markers")) == pytest.approx(15 if playing else 1, abs=2)
+
+
+def test_after_a_time_without_a_pace_nothing_is_late(bench: Bench, monkeypatch) -> None:
+    monkeypatch.setattr(core, "SLICE", 0.0)  # the clock stands still while a slice is computed
+    bench.load(ENDLESS)
+    settings = bench.core.settings
+    settings.speed_factor = 0.0
+    bench.core.pace_changed()
+    bench.go(1.0, step=0.1)
+    settings.speed_factor = 1.0
+    bench.core.pace_changed()
+    before = bench.ticks()
+    bench.run(1.0)
+    assert bench.ticks() - before == pytest.approx(50, abs=2)
+    assert bench.core._pace.overruns == 0
+
+
+def test_a_run_that_begins_in_the_middle_of_a_tick_leaves_the_loop_at_rest(monkeypatch) -> None:
+    """What was left of the tick is forgotten with its run."""
+    monkeypatch.setattr(core, "SLICE", 0.0)  # one step of the engine at a time
+    bench = Bench(state_rate=1.0)
+    bench.load(ENDLESS)
+    bench.wall.now += 1.0
+    assert bench.core.work() <= bench.wall.now
+    session = bench.core.session
+    assert session.tick == 0 and session.step == 1
+    bench.core.reset(0)
+    assert bench.run(0.9) < 200
 
 
 def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench) -> None:
