@@ -14,7 +14,7 @@ from typing import Any
 import derail_ros
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.playback import Playback
-from derail_ros.nodes.process import StartError, Stop, run_node, starting
+from derail_ros.nodes.process import StartError, Stop, run_node, service_qos, starting
 from derail_ros.nodes.simulator import CLOCK_GRACE, ClockGuard
 from derail_ros.review.storage import BagError, Channel
 from msg_adapters.common import NANOSECONDS
@@ -210,7 +210,7 @@ def make_node_class() -> Any:
                 ("seek", Seek, self._seek),
                 ("stop", Stop, self._stop),
             ):
-                self.create_service(kind, f"~/{name}", callback)
+                self.create_service(kind, f"~/{name}", callback, qos_profile=service_qos())
 
         # --- the loop ------------------------------------------------------------------------
 

@@ -20,6 +20,18 @@ except ImportError:  # no POSIX, and no shared memory of this kind
     fcntl = None  # type: ignore[assignment]
 
 
+SERVICE_DEPTH = 100
+"""Requests of a service that may wait, and answers that may be on their way. With the usual depth
+of 10 the middleware drops the others without a word."""
+
+
+def service_qos() -> Any:
+    """The quality of service of a node's services."""
+    from rclpy.qos import QoSProfile
+
+    return QoSProfile(depth=SERVICE_DEPTH)
+
+
 class Stop:
     """A request to end, set by SIGINT or SIGTERM.
 

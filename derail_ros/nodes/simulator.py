@@ -19,7 +19,7 @@ from typing import Any
 import derail_ros
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
-from derail_ros.nodes.process import Stop, run_node, starting
+from derail_ros.nodes.process import Stop, run_node, service_qos, starting
 from derail_ros.nodes.session import Prepared, prepare
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.topics import (
@@ -242,7 +242,7 @@ class LaterService:
         callback: Callable[[Any, Any, Callable[[], None]], None],
     ) -> None:
         self._callback = callback
-        self._service = node.create_service(kind, name, self._call)
+        self._service = node.create_service(kind, name, self._call, qos_profile=service_qos())
         self._send = self._service.send_response
         self._service.send_response = self._returned
         self._headers: dict[int, Any] = {}
@@ -398,7 +398,7 @@ def make_node_class() -> Any:
                 ("reset_simulation", ResetSimulation, self._reset),
                 ("get_events", GetEvents, self._get_events),
             ):
-                self.create_service(kind, f"~/{name}", callback)
+                self.create_service(kind, f"~/{name}", callback, qos_profile=service_qos())
 
         def _settings(self, values: dict[str, Any]) -> Settings:
             return Settings(

@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from derail_ros.nodes.process import Stop
+from derail_ros.nodes.process import Stop, service_qos
 from tests.nodes.graph import SERVICES
 from tests.nodes.support import SMALL
 
@@ -121,7 +121,13 @@ def main() -> None:
     node = rclpy.create_node(f"stranger_{seed}")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    clients = {n: node.create_client(kind, f"/simulator/{n}") for n, kind in SERVICES.items()}
+    # Each answer goes to all clients of a service, and with the usual depth of 10 one that gets no
+    # processor time while others get ten answers loses its own.
+    deep = service_qos()
+    clients = {
+        name: node.create_client(kind, f"/simulator/{name}", qos_profile=deep)
+        for name, kind in SERVICES.items()
+    }
     setter = node.create_client(SetParameters, "/simulator/set_parameters")
     # The same name with another type, which needs a context of its own: nobody may answer it.
     context = rclpy.Context()

@@ -18,14 +18,15 @@ pytest.importorskip("rclpy")
 pytest.importorskip("derail_msgs")
 
 from rcl_interfaces.srv import GetParameters
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from derail_ros.nodes import simulator as simulator_module
 from derail_ros.nodes.parameters import SIMULATOR
+from derail_ros.nodes.process import SERVICE_DEPTH
 from derail_ros.recording import read_manifest
 from msg_adapters.common import stamp_of
 from msg_adapters.topics import STATE_TOPICS, TOPICS
-from tests.nodes.graph import PAUSED, PLAYING, QUITTING, STOPPED, Graph, Process, graph
+from tests.nodes.graph import PAUSED, PLAYING, QUITTING, SERVICES, STOPPED, Graph, Process, graph
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL
 
 pytestmark = pytest.mark.ros
@@ -246,6 +247,20 @@ def test_pausing_stepping_and_stopping(fresh: Graph) -> None:
     answer = fresh.ask("set_simulation_state", state=STOPPED)
     assert answer.success and answer.state == STOPPED and answer.step == 0
     assert not fresh.ask("step_simulation", ticks=1).success
+
+
+def test_requests_that_come_all_at_once_are_all_answered(fresh: Graph) -> None:
+    load(fresh)
+    kind = SERVICES["inject_rail_break"]
+    # The client's own depth holds as many.
+    client = fresh.node.create_client(
+        kind, "/simulator/inject_rail_break", qos_profile=QoSProfile(depth=SERVICE_DEPTH)
+    )
+    fresh.until(client.service_is_ready, "the service is there")
+    futures = [client.call_async(kind.Request(track_coordinate=math.nan)) for _ in range(80)]
+    fresh.until(lambda: all(future.done() for future in futures), "all are answered")
+    assert not any(future.result().success for future in futures)
+    fresh.node.destroy_client(client)
 
 
 def test_a_long_step_request_leaves_the_node_free(fresh: Graph) -> None:
