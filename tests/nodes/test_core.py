@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -637,6 +638,42 @@ def test_brakes_stop_the_train(bench: Bench) -> None:
     kinds = [e.kind_name for e in bench.heard.of("events")]
     assert kinds.count("brakes_triggered") == 1
     assert kinds.count("brake_signal_reached") == 3
+
+
+def test_the_numbers_of_the_services_mean_what_their_files_say() -> None:
+    folder = Path(__file__).resolve().parents[2] / "derail_msgs" / "srv"
+
+    def numbers(service: str, prefix: str) -> list[str]:
+        text = (folder / f"{service}.srv").read_text(encoding="utf-8")
+        found = re.findall(rf"^uint8 {prefix}_(\w+)=(\d+)", text, re.MULTILINE)
+        assert [int(number) for _, number in found] == list(range(len(found)))
+        return [name.lower() for name, _ in found]
+
+    assert numbers("TriggerEmergencyBrake", "MODE") == list(core.BRAKE_MODES)
+    assert numbers("TriggerEmergencyBrake", "SOURCE") == list(core.BRAKE_SOURCES)
+    assert numbers("SetSimulationState", "STATE") == [state.name.lower() for state in State]
+
+
+@pytest.mark.parametrize(("source", "first"), [(0, [1]), (1, [3]), (2, [1, 3]), (3, [2])])
+@pytest.mark.parametrize("mode", range(4))
+def test_brakes_of_each_kind_from_each_place(bench: Bench, mode, source, first) -> None:
+    bench.load(ENDLESS, paused=True)
+    assert bench.core.trigger_emergency_brake(mode, source, 2 if source == 3 else 0, 0.1).success
+    bench.step(150)
+    reached = {
+        car: e.time
+        for e in bench.heard.of("events")
+        if e.kind_name == "brake_signal_reached"
+        for car in e.cars.tolist()
+    }
+    assert sorted(reached) == [1, 2, 3]
+    instant = core.BRAKE_MODES[mode].startswith("instant")
+    begin = min(reached.values())
+    assert [c for c in sorted(reached) if reached[c] == begin] == ([1, 2, 3] if instant else first)
+    assert begin >= 0.1
+    # Adhesion lets more through than the brake gear gives.
+    share = bench.heard.last("train_state").brake_force / bench.heard.last("consist").mass / 9.81
+    assert (share > 0.07).tolist() == [core.BRAKE_MODES[mode].endswith("traction_limited")] * 3
 
 
 def test_sequences_have_no_gaps(bench: Bench) -> None:
