@@ -135,7 +135,8 @@ class _Pace:
     refused: int = 0
     since: float = 0.0
     simulated: float = 0.0
-    playing: float = 0.0
+    asked: float = 0.0
+    asked_since: float = 0.0
     factor: float = 0.0
     steps: int = 0
     step_size: float = math.nan
@@ -199,7 +200,7 @@ class SimulatorCore:
         self._recordings = 0
         self._base = 0
         self._sequence = 0
-        self._pace = _Pace(since=wall())
+        self._pace = _Pace(since=wall(), asked=settings.speed_factor)
         self._due = _Due()
         self._stepping: _Stepping | None = None
         self._markers_reset = 0
@@ -610,6 +611,7 @@ class SimulatorCore:
     def _go(self, state: State) -> None:
         self.state = state
         now = self.wall()
+        self._pace.asked_since = now
         if state == State.PLAYING and self.session is not None:
             self._due.tick = now + self._tick_period(self.session)
             self._due.pending = False
@@ -627,6 +629,8 @@ class SimulatorCore:
         would hold up the run.
         """
         now, due, settings = self.wall(), self._due, self.settings
+        if settings.speed_factor != self._pace.asked:
+            self._pace.asked, self._pace.asked_since = settings.speed_factor, now
         if self.session is not None:
             # After a time without a pace nothing is late.
             tick = due.tick if now - due.tick <= SLACK else now
@@ -792,17 +796,17 @@ class SimulatorCore:
         if steps > 0 and pace.simulated > 0.0:
             pace.step_size = pace.simulated / steps
         level, message = Level.OK, self.state.name.lower()
-        slow = pace.factor < 0.95 * asked
+        # Of a second in which the pace was not the same throughout nothing can be said.
+        steady = self.state == State.PLAYING and pace.asked_since < pace.since
         if session is None:
             message = "no run is loaded"
         elif session.finished:
             message = f"run has ended: {session.status}"
-        elif self.state == State.PLAYING and asked > 0.0 and pace.playing > 0.0 and slow:
+        elif steady and pace.factor < 0.95 * asked:
             level = Level.WARN
             message = f"slower than asked: {pace.factor:.2f} instead of {asked:g}"
         if self.error:
             level, message = Level.ERROR, self.error
-        pace.playing = elapsed if self.state == State.PLAYING else 0.0
         values: dict[str, Any] = {
             "state": self.state.name.lower(),
             "real_time_factor_asked": asked,

@@ -337,6 +337,21 @@ def test_diagnostics_warn_when_the_run_is_slower_than_asked() -> None:
     assert status.level == 1 and "slower than asked" in status.message
 
 
+def test_diagnostics_do_not_warn_of_a_pace_that_has_just_changed(bench: Bench) -> None:
+    bench.load(ENDLESS)
+    bench.run(1.5)
+    bench.core.settings.speed_factor = 5.0
+    bench.core.pace_changed()
+    bench.run(1.9)
+    bench.core.set_state(State.PAUSED)
+    bench.run(0.3)
+    bench.core.set_state(State.PLAYING)
+    bench.run(1.9)
+    told = [message.status[0] for message in bench.heard.of("/diagnostics")]
+    assert len(told) >= 5 and {status.level for status in told} == {0}
+    assert told[-1].message == "playing"
+
+
 # --- states ----------------------------------------------------------------------------------
 
 
