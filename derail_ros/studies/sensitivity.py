@@ -720,6 +720,8 @@ def markdown(study: Sensitivity, image: str) -> str:
         "control. The controls are changes that mean nothing; a chaotic outcome moves with them "
         "all the same, and what they move is the least that can be told from chance."
     )
+    if any(d.known and math.isnan(d.error) for e in study.effects for d in e.overall.values()):
+        reading += " Without an error: void runs left some case with a single pair."
     lines = [
         "# Sensitivity: what the reconstructed constants do",
         "",
