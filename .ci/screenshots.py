@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Renew the pictures of the replay page in docs/images from a run of Mississauga."""
+"""Renew the pictures of final scene and replay page in docs/images from a run of Mississauga."""
 
 import io
 import sys
@@ -9,12 +9,14 @@ from pathlib import Path
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(ROOT))
 
 from derail_ros.engine import Simulation  # noqa: E402
 from derail_ros.recording import record_run  # noqa: E402
-from derail_ros.review import replay  # noqa: E402
+from derail_ros.review import figures, replay  # noqa: E402
 from derail_ros.review.bag import read_bag  # noqa: E402
+from derail_ros.review.summary import final_scene  # noqa: E402
 from derail_ros.scenario import load_scenario  # noqa: E402
 from tests.review.conftest import start_browser  # noqa: E402
 
@@ -36,12 +38,22 @@ derailReplay.seek(derailReplay.last - 0.3);
 SHOTS = {"replay_light": "derailReplay.seek(6.0);", "replay_dark": DARK}
 
 
+def keep(picture: Image.Image, name: str) -> None:
+    """Write a picture as a small file."""
+    target = IMAGES / f"{name}.png"
+    picture.quantize(160, dither=Image.Dither.NONE).save(target, optimize=True)
+    print(target)
+
+
 def main() -> None:
-    """Write both pictures."""
+    """Write the pictures."""
     with tempfile.TemporaryDirectory() as folder:
         scenario = load_scenario("mississauga")
         record_run(Simulation(scenario.to_params()), scenario, Path(folder) / "mississauga")
-        page = replay.write(read_bag(Path(folder) / "mississauga"), Path(folder) / "page.html")
+        run = read_bag(Path(folder) / "mississauga")
+        scene = figures.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
+        keep(Image.open(scene).convert("RGB"), "final_scene")
+        page = replay.write(run, Path(folder) / "page.html")
         for name, script in SHOTS.items():
             browser = start_browser("--hide-scrollbars")
             try:
@@ -67,9 +79,7 @@ def main() -> None:
             finally:
                 browser.quit()
             small = picture.resize((WIDTH, WIDTH * SIZE[1] // SIZE[0]), Image.Resampling.LANCZOS)
-            target = ROOT / "docs" / "images" / f"{name}.png"
-            small.quantize(160, dither=Image.Dither.NONE).save(target, optimize=True)
-            print(target)
+            keep(small, name)
 
 
 if __name__ == "__main__":
