@@ -283,7 +283,7 @@ def _scenes(a: Run, b: Run) -> Figure:
         figures._prepare(axes, window)
         figures._draw_track(axes, scene, window, points)
         figures._draw_cars(axes, scene, window, points)
-        figures._draw_box(axes, scene, window)
+        figures._draw_box(axes, scene)
         over = (bottom + tall) / height
         title = f"{name}   {run.title}"
         figure.text(left, over + 0.3 / height, title, size=11, weight="bold", va="center")

@@ -122,7 +122,7 @@ def _final_scene(scene: Scene) -> Figure:
     points_per_metre = inner * 72.0 / (window[1] - window[0])
     _draw_track(axes, scene, window, points_per_metre)
     _draw_cars(axes, scene, window, points_per_metre)
-    _draw_box(axes, scene, window)
+    _draw_box(axes, scene)
     _draw_scale(figure, height, window)
 
     _headline(figure, left, 1.0 - 0.3 / height, scene.title, 60)
@@ -368,7 +368,7 @@ def _draw_couplers(axes: Axes, scene: Scene, points_per_metre: float) -> None:
                 axes.plot(x, y, "x", ms=dot + 1.0, mec=VERMILION, mew=1.5, zorder=8)
 
 
-def _draw_box(axes: Axes, scene: Scene, window: Window) -> None:
+def _draw_box(axes: Axes, scene: Scene) -> None:
     """The bounding box of the derailed cars with its dimensions."""
     derailed = scene.derailed & (scene.represents == 1)
     if not derailed.any() or not scene.straight:
@@ -394,15 +394,18 @@ def _draw_box(axes: Axes, scene: Scene, window: Window) -> None:
     }
     long = scene.scene_length if math.isfinite(scene.scene_length) else high[0] - low[0]
     wide = scene.scene_width if math.isfinite(scene.scene_width) else high[1] - low[1]
-    unit = (window[1] - window[0]) / 100.0
-    axes.text(
-        0.5 * (low[0] + high[0]), high[1] + unit, _metres(long), ha="center", va="center", **label
+    # Clear of the cars and of the couplers at their ends, at any scale.
+    ahead = max(high[0], float(scene.faces()[derailed][..., 0].max()))
+    across, above = 0.5 * (low + high)[1], 0.5 * (low + high)[0]
+    label |= {"textcoords": "offset points"}
+    axes.annotate(
+        _metres(long), xy=(above, high[1]), xytext=(0, 4), ha="center", va="bottom", **label
     )
-    axes.text(
-        high[0] + unit,
-        0.5 * (low[1] + high[1]),
+    axes.annotate(
         _metres(wide),
-        ha="center",
+        xy=(ahead, across),
+        xytext=(5, 0),
+        ha="left",
         va="center",
         rotation=90,
         **label,
@@ -458,11 +461,9 @@ def _draw_key(figure: Figure, scenes: Sequence[Scene], left: float, top: float) 
     if bodies:
         text = f"one body for {sum(bodies)} cars" if len(scenes) == 1 else "one body for many cars"
         handles.append(Patch(fc=STAND_IN, ec=FAINT, ls="--", label=text))
-    handles.append(
-        Line2D(
-            [], [], ls="-", color=INK, marker="o", mfc=INK, mec="white", ms=4.5, label="coupled"
-        )
-    )
+    if any(s.coupled.any() for s in scenes):
+        look: dict[str, Any] = {"marker": "o", "mfc": INK, "mec": "white", "ms": 4.5}
+        handles.append(Line2D([], [], ls="-", color=INK, **look, label="coupled"))
     if not all(s.coupled.all() for s in scenes):
         handles.append(
             Line2D([], [], ls="", marker="x", mec=VERMILION, mew=1.5, ms=5.5, label="parted")
@@ -610,9 +611,9 @@ def _peak_forces(
             hatch=hatch or None,
             zorder=3,
         )
-        handles.append(
-            Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.7, label=f"{label} ({chosen.sum()})")
-        )
+        if len(struck):
+            text = f"{label} ({chosen.sum()})"
+            handles.append(Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.7, label=text))
     lines = (
         (RUPTURE * 1e-6, "5 MN\nhas ruptured\ntank cars"),
         (RUPTURE_CONSERVATIVE * 1e-6, "10 MN\nconservative\ncount"),
@@ -689,13 +690,16 @@ def _peak_forces(
     )
     heading = f"{title}: peak force on each car" if title else "Peak force on each car"
     _headline(figure, left, 1.0 - 0.27 / height, heading, 80)
-    note = "Above each bar: the car on the other side" + (
-        " and the time of the peak." if time is not None and not small else "."
-    )
+    note = "No car was struck."
+    if len(struck):
+        note = "Above each bar: the car on the other side" + (
+            " and the time of the peak." if time is not None and not small else "."
+        )
     spans = [(a, b) for a, b in ((1, first - 1), (last + 1, n)) if a <= b]
     if spans and len(struck):
         words = " and ".join(str(a) if a == b else f"{a} to {b}" for a, b in spans)
-        note += f" Not struck and not shown: cars {words}."
+        one = sum(b - a + 1 for a, b in spans) == 1
+        note += f" Not struck and not shown: car{'' if one else 's'} {words}."
     figure.text(
         left,
         1.0 - 0.53 / height,

@@ -44,7 +44,7 @@ BLUE = "#0072b2"
 ENERGY_LOOK: tuple[tuple[str, str, str, str], ...] = (
     ("work_brakes", "brakes", "#56b4e9", ""),
     ("work_ground_trucks", "ground, under derailed trucks", "#e69f00", ""),
-    ("work_ground_body", "ground, under cars torn loose", "#f0e442", "////"),
+    ("work_ground_body", "ground, under uncoupled cars", "#f0e442", "////"),
     ("work_collisions", "collisions", "#d55e00", "xxxx"),
     ("rest", "draft gear, parted couplers, springs", "#cc79a7", ""),
 )
@@ -326,22 +326,23 @@ def speeds(run: Run) -> Figure:
 
 def _speeds(run: Run) -> Figure:
     active = _active(run)
-    figure, axes = _sheet(
-        5.6,
-        1.15,
-        f"{run.title}: speed of each car",
-        "The cars that stayed on the rails move together: one band. The others are coloured by"
-        " their number.",
-    )
-    speed = run.speed
     calm = [i for i in range(run.n) if i not in active]
+    notes = []
+    if calm:
+        notes.append("The band holds the cars that stayed on the rails.")
+    if len(active) > 1:
+        notes.append(f"{'The others' if calm else 'Cars'} are coloured by their number.")
+    figure, axes = _sheet(5.6, 1.15, f"{run.title}: speed of each car", " ".join(notes))
+    speed = run.speed
     handles: list[Any] = []
     if calm:
         low, high = speed[:, calm].min(axis=1), speed[:, calm].max(axis=1)
         axes.fill_between(run.time, low, high, color="#b9bec4", lw=1.6, zorder=2)
         label = f"{words.cars([i + 1 for i in calm])}, on the rails"
         handles.append(Patch(fc="#b9bec4", label=label))
-    norm = Normalize(1, max(2, active[-1] + 1 if active else run.n))
+    norm = Normalize(active[0] + 1, active[-1] + 1) if active else Normalize(1, 2)
+    if len(active) == 1:
+        handles.append(Line2D([], [], color=car_colours()(0.0), label=f"car {active[0] + 1}"))
     colours = car_colours()
     for i in active:
         axes.plot(run.time, speed[:, i], color=colours(norm(i + 1)), lw=1.15, zorder=3)
@@ -405,7 +406,7 @@ def _speeds(run: Run) -> Figure:
         tick.set_horizontalalignment("right")
         tick.set_color(FAINT)
     kmh.tick_params(pad=-4)
-    if active:
+    if len(active) > 1:
         _colour_bar(figure, axes, norm, "car")
     return figure
 
@@ -446,6 +447,8 @@ def _energy(run: Run) -> Figure:
     places: list[tuple[float, str, str, str]] = []
     for entry, label, fill, hatch in ENERGY_LOOK:
         part = rest if entry == "rest" else np.maximum(taken[entry], 0.0)
+        if float(part.max()) < max(words.NO_ENERGY, 1e-6 * initial):
+            continue  # nothing, or as little as the ledger leaves unaccounted for
         above = below + part / size
         axes.fill_between(
             time,
@@ -493,6 +496,8 @@ def _side_labels(
     axes: Axes, places: Sequence[tuple[float, str, str, str]], top: float, apart: float
 ) -> None:
     """Labels at the right edge, pushed apart so that none covers another."""
+    if not places:
+        return
     order = sorted(range(len(places)), key=lambda k: places[k][0])
     at = _apart([places[k][0] for k in order], apart)
     at[-1] = min(at[-1], top - 0.4 * apart)

@@ -160,8 +160,9 @@ def timeline(run: Run) -> list[dict[str, Any]]:
                 "kind": "brake_signal_reached",
                 "cars": cars,
                 "cause": signals[0].cause,
-                "text": f"the brake signal runs through {words.cars(cars)},"
-                f" the last at {last:.2f} s",
+                "text": f"the brake signal reaches {words.cars(cars)}"
+                if len(cars) == 1
+                else f"the brake signal runs through {words.cars(cars)}, the last at {last:.2f} s",
                 "until_s": last,
             }
         )
@@ -393,7 +394,7 @@ def _cars(run: Run, rows: list[dict[str, Any]]) -> list[str]:
         lines.append(f"  Car {row['car']}{': ' + about if about else ''}")
         d = row["derailed"]
         if d:
-            track = "" if d["track_m"] is None else f" at {d['track_m'] + 0.0:.1f} m"
+            track = "" if d["track_m"] is None else f" at {words.coordinate(d['track_m'])} m"
             fast = "" if d["speed_m_s"] is None else f", {d['speed_m_s']:.1f} m/s"
             cause = {"initial": "from the start", "rail break": "broken rail"}.get(
                 d["cause"], d["cause"]
@@ -417,8 +418,9 @@ def _cars(run: Run, rows: list[dict[str, Any]]) -> list[str]:
             lines.append(f"              and {more} lighter one{'s' if more > 1 else ''}")
         rest = row["at_rest"]
         end = row["end"]
-        where = f"x = {end['x_m']:.1f} m, y = {end['y_m']:.1f} m"
-        heading = f"{math.degrees(math.remainder(end['yaw_rad'], 2 * math.pi)):.0f}°"
+        where = words.place(end["x_m"], end["y_m"])
+        turned = math.degrees(math.remainder(end["yaw_rad"], 2 * math.pi))
+        heading = f"{words.coordinate(turned, 0)}°"
         if rest:
             lines.append(f"    at rest   {rest['time_s']:7.2f} s at {where}, heading {heading}")
             if row["pushed_on_until_s"] is not None:

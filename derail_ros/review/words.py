@@ -10,12 +10,15 @@ from derail_ros.review.bag import Contact, Happening, Run
 ENERGY_TAKERS: dict[str, str] = {
     "work_brakes": "the brakes",
     "work_ground_trucks": "the ground under derailed trucks",
-    "work_ground_body": "the ground under cars torn loose",
+    "work_ground_body": "the ground under uncoupled cars",
     "work_collisions": "collisions between cars",
     "work_striker_dampers": "draft gear",
     "work_knuckles_released": "couplers that parted",
 }
 """Ledger entries that take energy out of the train, in words."""
+
+NO_ENERGY = 0.5
+"""An entry of less than this would be written as 0 J: it is left out, J."""
 
 
 def speed(value: float) -> str:
@@ -37,6 +40,11 @@ def energy(value: float) -> str:
     return f"{value:.0f} J"
 
 
+def coordinate(value: float, digits: int = 1) -> str:
+    """A place or an angle, without the sign of a zero."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def number_list(cars: Iterable[int]) -> str:
     """``1 to 5, 8`` for 1, 2, 3, 4, 5, 8; "none" for none."""
     groups: list[list[int]] = []
@@ -56,14 +64,13 @@ def cars(numbers: Sequence[int]) -> str:
 
 def place(x: float, y: float) -> str:
     """Where, in the plane: ``x = 42.1 m, y = -4.2 m``."""
-    return f"x = {x:.1f} m, y = {y:.1f} m" if math.isfinite(x) else ""
+    return f"x = {coordinate(x)} m, y = {coordinate(y)} m" if math.isfinite(x) else ""
 
 
 def _where(event: Happening) -> str:
     if not math.isfinite(event.track_coordinate):
         return ""
-    value = event.track_coordinate + 0.0 if abs(event.track_coordinate) >= 0.05 else 0.0
-    return f" at {value:.1f} m"
+    return f" at {coordinate(event.track_coordinate)} m"
 
 
 def _fast(event: Happening) -> str:
@@ -175,7 +182,7 @@ def stopped_by(run: Run) -> str:
         return "Not known: the recording holds no energy ledger."
     initial = float(run.energy["initial"][-1])
     main = [f"{text} {100.0 * share:.0f} %" for _, text, _, share in ranked if share >= 0.005]
-    small = [text for _, text, _, share in ranked if 0.0 < share < 0.005]
+    small = [text for _, text, taken, share in ranked if taken >= NO_ENERGY and share < 0.005]
     opening = f"Of the {energy(initial)} that the train began with, these took: "
     if not main:
         return f"Of the {energy(initial)} that the train began with nothing is gone yet."
