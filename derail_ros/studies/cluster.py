@@ -22,6 +22,9 @@ CONNECT_S = 10.0
 """How long to wait for the scheduler and its first worker, s."""
 
 
+LOST = "--dask: the connection to the cluster was lost"
+
+
 class ClusterError(Exception):
     """The cluster cannot be used; the message is one line."""
 
@@ -90,7 +93,7 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
     for future, value in flying:
         index, run = sent.pop(future.key)
         if future.status == "cancelled" or isinstance(value, CancelledError):
-            raise ClusterError("--dask: the connection to the cluster was lost")
+            raise ClusterError(LOST)
         if future.status == "error":
             error = value[1] if isinstance(value, tuple) else value
             if not isinstance(error, KilledWorker):
@@ -116,7 +119,9 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
 def _width(client: Client, jobs: int | None) -> int:
     if jobs is not None:
         return jobs
-    workers: dict[str, Any] = client.scheduler_info(n_workers=-1)["workers"]
+    workers: dict[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
+    if workers is None:  # what a client says that has just lost its scheduler
+        raise ClusterError(LOST)
     threads = sum(int(w["nthreads"]) for w in workers.values())
     return max(1, PER_THREAD * threads)
 

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from derail_ros.studies import cluster as cluster_module
 from derail_ros.studies.cluster import ClusterError, on_cluster
 from derail_ros.studies.results import StudyResults
 from derail_ros.studies.runner import run_study
@@ -79,6 +80,24 @@ def test_the_command_on_a_cluster(folder, cluster):
     assert answer.returncode == 0, answer.stderr
     assert "on the cluster at tcp://" in answer.stderr
     assert len(StudyResults(folder / "out").table) == 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", [0, 1, 3])
+def test_the_scheduler_goes_away_between_two_runs(load, folder, cluster, monkeypatch, moment):
+    asked = []
+
+    def width(client, jobs):
+        asked.append(client)
+        if len(asked) == moment + 1:
+            cluster.close()
+        return known(client, jobs)
+
+    known = cluster_module._width
+    monkeypatch.setattr(cluster_module, "_width", width)
+    with pytest.raises(ClusterError, match="connection to the cluster was lost"):
+        run_study(load(STUDY), folder / "out", run=on_cluster(cluster.scheduler_address))
+    assert len(asked) > moment
 
 
 @pytest.mark.slow
