@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-UNCHECKED = "THE REPLAY PAGE IS NOT CHECKED"
-"""Beginning of the reason for skipping a test that needs a browser."""
+UNCHECKED = "NOT CHECKED: "
+"""Beginning of the reason for skipping a test that needs what is not installed here."""
+BROWSER = "the replay page"
+"""What is not checked without a browser."""
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Say where nobody can overlook it what was left out for lack of a browser."""
+    """Say where nobody can overlook it what was left out for lack of a tool."""
     reasons = [str(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", [])]
-    missing = [reason.split(f"{UNCHECKED}: ")[1] for reason in reasons if UNCHECKED in reason]
-    if missing:
-        terminalreporter.section("THE REPLAY PAGE WAS NOT CHECKED", sep="!", red=True, bold=True)
-        terminalreporter.line(f"{missing[0]}; `make verify` fails without it.", red=True)
+    missing = {reason.split(UNCHECKED, 1)[1] for reason in reasons if UNCHECKED in reason}
+    if not missing:
+        return
+    terminalreporter.section("NOT CHECKED HERE", sep="!", red=True, bold=True)
+    for text in sorted(missing):
+        verify = " (`make verify` fails without it)" if text.startswith(BROWSER) else ""
+        terminalreporter.line(f"{text[0].upper()}{text[1:]}{verify}", red=True)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -16,6 +20,7 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from derail_ros.engine import Simulation, SimulationError
 from derail_ros.recording import (
@@ -156,18 +161,47 @@ def test_the_manifest_repeats_the_run_to_the_bit(recorded) -> None:
     assert again.state_hash() == manifest.run.final_state_hash
 
 
-def test_others_read_it_with_nothing_but_the_file(recorded) -> None:
-    path = recorded[0]
-    files = list(path.glob("*.mcap"))
-    if not files:
-        pytest.skip("sqlite3")
-    with files[0].open("rb") as stream:
+def strangers_mcap(file: Path) -> Iterator[tuple[str, Any]]:
+    """Topics and messages by mcap and mcap-ros2-support."""
+    with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        counts: dict[str, int] = {}
         for _, channel, _, message in reader.iter_decoded_messages():
-            counts[channel.topic] = counts.get(channel.topic, 0) + 1
-            if channel.topic == "/train_state":
-                assert len(message.x) == 10 and len(message.corner_gap) == 40
+            yield channel.topic, message
+
+
+def strangers_sqlite(file: Path) -> Iterator[tuple[str, Any]]:
+    """Topics and messages by sqlite3, with the definitions that are in the file."""
+    types = get_typestore(Stores.EMPTY)
+    with closing(sqlite3.connect(file)) as database:
+        definitions = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+        for msgtype, text in database.execute(definitions):
+            own, *others = text.split("=" * 80 + "\nMSG: ")
+            types.register(
+                {
+                    name: fields
+                    for part in [f"{msgtype.replace('/msg/', '/')}\n{own}", *others]
+                    for head, _, body in [part.partition("\n")]
+                    for name, fields in get_types_from_msg(
+                        body, head.replace("/", "/msg/")
+                    ).items()
+                }
+            )
+        messages = (
+            "SELECT name, type, data FROM messages JOIN topics ON topic_id = topics.id "
+            "ORDER BY timestamp"
+        )
+        for topic, msgtype, data in database.execute(messages):
+            yield topic, types.deserialize_cdr(data, msgtype)
+
+
+def test_others_read_it_with_nothing_but_the_file(recorded) -> None:
+    """MCAP by the libraries of its makers, SQLite by its own and by the definitions in it."""
+    (file,) = (f for f in recorded[0].iterdir() if f.suffix in (".mcap", ".db3"))
+    counts: dict[str, int] = {}
+    for topic, message in (strangers_mcap if file.suffix == ".mcap" else strangers_sqlite)(file):
+        counts[topic] = counts.get(topic, 0) + 1
+        if topic == "/train_state":
+            assert len(message.x) == 10 and len(message.corner_gap) == 40
     expected = {name: n for name, n in recorded[1].messages.items() if n}
     assert counts == expected
 
@@ -339,8 +373,6 @@ def test_what_a_killed_writer_had_for_a_second_is_there(tmp_path, storage) -> No
 def _messages(file: Path, storage: str) -> int:
     """Messages that a scan finds in a file that was never closed."""
     if storage == "sqlite3":
-        import sqlite3
-
         connection = sqlite3.connect(f"file:{file}?mode=ro", uri=True)
         try:
             return int(connection.execute("SELECT COUNT(*) FROM messages").fetchone()[0])

@@ -11,7 +11,7 @@ import pytest
 
 from derail_ros.recording import record_run
 from derail_ros.review.bag import Run, read_bag
-from tests.conftest import UNCHECKED
+from tests.conftest import BROWSER, UNCHECKED
 from tests.nodes.support import simulation, small
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -35,7 +35,7 @@ def start_browser(*arguments: str, size: tuple[int, int] = (1300, 950)) -> Any:
     """A headless browser; the test that asks for it is skipped, loudly, where there is none."""
     found = find_browser()
     if isinstance(found, str):
-        pytest.skip(f"{UNCHECKED}: {found}")
+        pytest.skip(f"{UNCHECKED}{BROWSER}: {found}")
     from selenium import webdriver
     from selenium.webdriver.chrome.options import Options
     from selenium.webdriver.chrome.service import Service

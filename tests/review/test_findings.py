@@ -9,7 +9,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
+import pyarrow.parquet as parquet
 import pytest
 from rosbags.rosbag2 import Reader
 
@@ -181,7 +183,6 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
                 rows = list(csv.DictReader(file))
             tables[path.stem] = {k: [r[k] for r in rows] for k in rows[0]}
         else:
-            parquet = pytest.importorskip("pyarrow.parquet")
             tables[path.stem] = parquet.read_table(path).to_pydict()
     assert set(tables) == {
         "cars",
@@ -339,7 +340,6 @@ def test_a_gif_has_its_pictures(bag, tmp_path) -> None:
 
 
 def test_an_mp4_has_its_pictures(bag, tmp_path) -> None:
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     path = tmp_path / "film.mp4"
     arguments = ["animate", str(bag), "-o", str(path), "--start", "2", "--end", "4"]
     assert cli.main([*arguments, "--fps", "10", "--width", "480", "--rate", "2"]) == 0

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from derail_ros.engine import params as engine
@@ -129,7 +130,6 @@ def test_json_schema():
 
 
 def test_json_schema_accepts_the_shipped_files_and_refuses_mistakes():
-    jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json_schema())
     for path in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
         data = parse(path.read_text(), path.name).data

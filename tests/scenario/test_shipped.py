@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from derail_ros.engine import build
 from derail_ros.engine.params import TrainParams
 from derail_ros.scenario import (
     list_scenarios,
@@ -59,7 +60,6 @@ def test_loads_converts_and_is_described(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_engine_accepts(name):
-    build = pytest.importorskip("derail_ros.engine.build")
     build.validate(load_scenario(name).to_params())
 
 

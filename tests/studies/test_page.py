@@ -12,6 +12,7 @@ import pytest
 
 from derail_ros.studies.results import StudyResults
 from derail_ros.studies.runner import run_study
+from tests.conftest import UNCHECKED
 
 EVIL = "<script>alert('&\"x')</script>"
 HEAD = f"version: 1\ntitle: {EVIL}\ndescription: 'a <b>bold</b> & claim'\nscenario: small\n"
@@ -156,7 +157,7 @@ def test_the_page(report):
 def test_a_browser_shows_it_without_complaint(report):
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     if browser is None:
-        pytest.skip("no chromium")
+        pytest.skip(f"{UNCHECKED}the page of a study in a browser: no Chromium")
     path = report[1]
     answer = subprocess.run(
         [
