@@ -318,6 +318,7 @@
     const size = Math.min(15, Math.max(10, 1.7 * z));
     const pitch = (cars[0].length + 1) * z;
     const every = [1, 2, 5, 10, 20, 50, 100].find((e) => e * pitch > 30) || 200;
+    const taken = [];
     for (const [i, , , , X, Y] of shown) {
       const important = i === selected && chosenByUser;
       if (cars[i].represents > 1) { if (pitch > 6) label(X, Y, `${cars[i].represents} cars`, palette.subtle, 11, "400"); continue; }
@@ -326,7 +327,13 @@
       if (peak > 0.95e6 && z > 3) {
         label(X, Y - 0.55 * size, text, palette.ink, size);
         label(X, Y + 0.55 * size, (peak * 1e-6).toFixed(1), palette.ink, size * 0.8, "500");
-      } else label(X, Y - (z < 3 ? 9 : 0), text, palette.ink, size);
+      } else if (z >= 3) label(X, Y, text, palette.ink, size);
+      else {  // beside a car that is smaller than its number: whole, and clear of the others
+        const half = 0.35 * size * text.length + 1, x = Math.min(width - half, Math.max(half, X));
+        if (!important && taken.some(([a, b, reach]) => Math.abs(a - x) < half + reach && Math.abs(b - Y) < size)) continue;
+        taken.push([x, Y, half]);
+        label(x, Y - 9, text, palette.ink, size);
+      }
     }
   }
 
@@ -593,8 +600,9 @@
     const whole = [];
     for (let t = Math.ceil(time[0]), step = Math.max(1, nice((time[T - 1] - time[0]) / 60)); t <= time[T - 1]; t += step) whole.push(t);
     const near = (t) => locate(t);
-    table("table-speed", () => `Car ${selected + 1}, the first and the last car`, ["time, s", `car ${selected + 1}, m/s`, "car 1, m/s", `car ${N}, m/s`],
-      () => whole.map((t) => { const r = near(t); return [time[r].toFixed(2), ...[selected, 0, N - 1].map((i) => at("speed", i, r).toFixed(2))]; }));
+    const few = () => [...new Set([selected, 0, N - 1])];  // no car twice
+    table("table-speed", () => "The selected, the first and the last car", () => ["time, s", ...few().map((i) => `car ${i + 1}, m/s`)],
+      () => whole.map((t) => { const r = near(t); return [time[r].toFixed(2), ...few().map((i) => at("speed", i, r).toFixed(2))]; }));
     table("table-force", () => "Collisions in order of time", ["time, s", "striking", "struck", "force, MN", "closing, m/s", "angle, °"],
       () => [...data.contacts].sort((a, b) => a.peakTime - b.peakTime).map((c) => [c.peakTime.toFixed(3), c.a, c.b, (c.peak * 1e-6).toFixed(3), c.closing.toFixed(2), c.angle.toFixed(0)]));
     table("table-derailed", () => "First derailment of each car", ["time, s", "car", "cars derailed"],
@@ -620,7 +628,7 @@
       const box = make("div", null, {class: "scroll", tabindex: "0", role: "region", "aria-label": caption()});
       const grid = make("table"), head = make("tr"), body = make("tbody");
       grid.append(make("caption", caption()));
-      heads.forEach((h, k) => head.append(make("th", k === 1 && id === "table-speed" ? `car ${selected + 1}, m/s` : h, {scope: "col"})));
+      for (const h of typeof heads === "function" ? heads() : heads) head.append(make("th", h, {scope: "col"}));
       const thead = make("thead"); thead.append(head); grid.append(thead, body);
       for (const row of rows()) { const tr = make("tr"); row.forEach((v) => tr.append(make("td", v))); body.append(tr); }
       box.append(grid); details.append(box);
@@ -983,6 +991,7 @@
 
   function keys(e) {
     if (e.ctrlKey || e.metaKey || e.altKey) return;
+    if (e.key.length === 1 && e.key !== " " && !$("letters").checked) return;
     const tag = e.target.tagName, native = tag === "SELECT" || (tag === "INPUT" && e.target.type !== "checkbox");
     const pressable = ["BUTTON", "SUMMARY", "A", "INPUT", "SELECT"].includes(tag);
     const rates = [...$("rate").options].map((o) => o.value);
