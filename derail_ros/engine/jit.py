@@ -22,6 +22,8 @@ import numba
 from numba import config as numba_config
 from numba.extending import intrinsic
 
+from derail_ros.engine.compiling import KernelCompiler, forget_constants
+
 
 def source_hash() -> str:
     """Hash of the engine's sources, the compiler's versions and the processor (16 hex digits)."""
@@ -92,8 +94,9 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # Kernels own no array: without numba's runtime they do not count references to the dozens
     # that they hand on, which took 10 to 15 % of a run.
     options["_nrt"] = False
+    options["pipeline_class"] = KernelCompiler
     try:
-        return numba.njit(**options)(function)
+        return forget_constants(numba.njit(**options)(function))
     finally:
         config.CACHE_DIR = previous
 

@@ -1,0 +1,89 @@
+"""The kernels' compiler: fewer questions and fewer kernels than numba's own, the same results."""
+
+import operator
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core import types
+
+from derail_ros.engine import compiling
+from derail_ros.engine.compiling import KernelCompiler, forget_constants
+
+OPTIONS = {"error_model": "numpy", "pipeline_class": KernelCompiler}
+
+
+def inner(x, n, squared):
+    return x**n if squared else x + n
+
+
+def outer(x):
+    return inner(x, 3, True) + inner(x, 4, False) + inner(x, 3, False)
+
+
+def compiled(keep, **options):
+    """A caller with constants, and what it calls; ``keep`` prepares the latter."""
+    called = keep(njit(**options)(inner))
+    space = {"inner": called}
+    exec(  # the same caller with another `inner`
+        "def outer(x):\n    return inner(x, 3, True) + inner(x, 4, False) + inner(x, 3, False)\n",
+        space,
+    )
+    return njit(**options)(space["outer"]), called
+
+
+def test_a_constant_is_any_number_of_its_type():
+    caller, called = compiled(forget_constants, **OPTIONS)
+    assert caller(1.7) == outer(1.7)
+    assert called.signatures == [(types.float64, types.int64, types.boolean)]
+    # as numba does it: one for each pair of constants
+    caller, called = compiled(lambda kernel: kernel)
+    assert caller(1.7) == outer(1.7)
+    assert len(called.signatures) == 3
+
+
+def arithmetic(a, k):
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * (i + 1) - a[i] * (i + 2) + a[i] * (i + 3)
+        if total > 3.0 and a[i] < 2.0 or i == k:
+            total = -total
+    return total
+
+
+def test_each_question_is_asked_once(monkeypatch):
+    asked = []
+    ask = types.functions.BaseFunction.get_call_type
+
+    def counted(self, context, args, kws):
+        asked.append((self.typing_key, args))
+        return ask(self, context, args, kws)
+
+    monkeypatch.setattr(types.functions.BaseFunction, "get_call_type", counted)
+    a = np.linspace(0.1, 2.3, 7)
+    plain = njit(error_model="numpy")(arithmetic)(a, 3)
+    numbers = sum(key is operator.add for key, _ in asked)
+    assert numbers > 4
+    asked.clear()
+    assert njit(**OPTIONS)(arithmetic)(a, 3) == plain
+    mine = [args for key, args in asked if key is operator.add]
+    assert len(mine) == len(set(mine)) < numbers
+
+
+def test_numba_is_left_as_it_was():
+    before = types.Function.get_call_type
+    assert njit(**OPTIONS)(arithmetic)(np.ones(2), 1) is not None
+    assert types.Function.get_call_type is before
+    assert not compiling._known
+    # also if compiling fails
+    with pytest.raises(Exception, match="(?i)typing"):
+        njit(**OPTIONS)(lambda x: x.nothing)(1.0)
+    assert types.Function.get_call_type is before
+    assert not compiling._known and compiling._depth == 0
+
+
+def test_another_numba_compiles_as_it_does(monkeypatch):
+    monkeypatch.setattr(compiling, "types", type("types", (), {"Function": object}))
+    assert njit(**OPTIONS)(arithmetic)(np.ones(3), 1) == arithmetic(np.ones(3), 1)
+    # what has no such method is handed back
+    assert forget_constants(arithmetic) is arithmetic
