@@ -146,7 +146,9 @@ def estimate(
 
 @app.command("compare-models")
 def compare_models(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
+    scenario: Annotated[
+        str | None, typer.Argument(help="Name of a scenario, or a YAML file; none with --write.")
+    ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
     ] = None,
@@ -161,11 +163,33 @@ def compare_models(
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write the table and a figure."),
     ] = None,
+    write: Annotated[
+        bool,
+        typer.Option(
+            "--write", help="Run ensembles of the page's own cases and write docs/baselines.md."
+        ),
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/baselines.md"
+    ),
+    members: Annotated[
+        int | None,
+        typer.Option("--ensemble", "-n", min=2, help="With --write: runs each (20)."),
+    ] = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
 ) -> int:
     """Put this model and those before it to work on one train."""
     from derail_ros.commands import models as command
 
-    return command.compare_models(scenario, settings or [], models or [], speeds, as_json, output)
+    if write:
+        given = (scenario, settings, models, speeds, output)
+        return command.write_page(
+            to, members or 20, seed, jobs, as_json, any(x is not None for x in given)
+        )
+    return command.compare_models(
+        scenario, settings or [], models or [], speeds, members, as_json, output
+    )
 
 
 @app.command("joint-velocities")

@@ -62,12 +62,14 @@ class BlockageEstimate:
     whole_train : all cars were lost before it could stop
     distance : run from the first derailment to the stop, m
     duration : time to the stop from the start (the braking before the first derailment counts), s
+    peak_speed : largest speed on the way, m/s: that at the start, for nothing drives the train
     """
 
     cars_derailed: F64
     whole_train: NDArray[np.bool_]
     distance: F64
     duration: F64
+    peak_speed: F64
 
 
 def blockage(
@@ -124,6 +126,7 @@ def blockage(
     x = -ahead  # of the first car beyond the point
     duration = np.zeros_like(v)
     whole = np.zeros(v.shape, dtype=bool)
+    peak = v.copy()
 
     def acceleration(t: float, x: F64, v: F64, i: NDArray[np.intp]) -> F64:
         # what has gone over; the first car goes at once
@@ -156,6 +159,7 @@ def blockage(
         over = x1 >= length[i] - lc[i]
         x[i] = np.minimum(x1, length[i] - lc[i])
         v[i] = np.where(stops | over, 0.0, v1)
+        peak[i] = np.maximum(peak[i], v1)
         duration[i] = t + part
         whole[i] = over
         live = i[~(stops | over)]
@@ -169,4 +173,5 @@ def blockage(
         whole.reshape(shape),
         np.maximum(x, 0.0).reshape(shape),
         duration.reshape(shape),
+        peak.reshape(shape),
     )

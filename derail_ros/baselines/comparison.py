@@ -98,14 +98,23 @@ def markdown(entries: Sequence[Entry]) -> str:
 # Figure ---------------------------------------------------------------------------------------
 
 
-def figure(title: str, entries: Sequence[Entry]) -> Figure:
-    """Final scenes to one scale, one above the other, and the counts of all models beside."""
+def figure(
+    title: str,
+    entries: Sequence[Entry],
+    counts: Mapping[str, float] | None = None,
+    published: float | None = None,
+) -> Figure:
+    """Final scenes to one scale, one above the other, and the counts of all models beside.
+
+    ``counts`` are shown instead of those of the entries (means of ensembles); a ``published``
+    count is a line across them.
+    """
     import matplotlib
 
     from derail_ros.review.figures import STYLE
 
     with matplotlib.rc_context(STYLE):
-        return _figure(title, entries)
+        return _figure(title, entries, counts, published)
 
 
 def _window(scene: Scene) -> tuple[float, float, float, float]:
@@ -116,7 +125,12 @@ def _window(scene: Scene) -> tuple[float, float, float, float]:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _figure(title: str, entries: Sequence[Entry]) -> Figure:
+def _figure(
+    title: str,
+    entries: Sequence[Entry],
+    means: Mapping[str, float] | None,
+    published: float | None,
+) -> Figure:
     import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection, PolyCollection
@@ -218,6 +232,8 @@ def _figure(title: str, entries: Sequence[Entry]) -> Figure:
         )
     )
     values = [float(e.record["cars_derailed"]) for e in counts if e.record]
+    if means is not None:
+        values = [means.get(e.model, value) for e, value in zip(counts, values, strict=True)]
     place = np.arange(len(counts))
     plane = {e.model for e, _ in scenes}
     colours = [
@@ -225,28 +241,29 @@ def _figure(title: str, entries: Sequence[Entry]) -> Figure:
         for e in counts
     ]
     axes.barh(place, values, color=colours, edgecolor=INK, linewidth=0.6, height=0.68)
+    longest = max([*values, published or 0.0, 1.0])
     for y, value in zip(place, values, strict=True):
         text = f"{value:.0f}" if value == round(value) else f"{value:.1f}"
-        axes.annotate(text, (value, y), (3, 0), textcoords="offset points", va="center", size=8.5)
+        axes.text(1.24 * longest, y, text, va="center", ha="right", size=8.5)
     axes.set_yticks(place, [e.model for e in counts], size=8.5)
     axes.set_ylim(len(counts) - 0.5, -0.5)
-    axes.set_xlim(0.0, max([*values, 1.0]) * 1.02)
+    axes.set_xlim(0.0, 1.25 * longest)
+    if published is not None:
+        axes.axvline(published, color=VERMILION, lw=1.4, ls=(0, (4, 2)))
     axes.tick_params(length=0)
     axes.set_xticks([])
     for side in ("top", "right", "bottom"):
         axes.spines[side].set_visible(False)
     page.text(
-        1.0 - (right - 1.35) / width, (height - heading + 0.11) / height, "cars derailed",
-        size=9.5, va="center",
+        1.0 - (right - 1.35) / width, (height - heading + 0.11) / height,
+        "cars derailed" if means is None else "cars derailed, mean", size=9.5, va="center",
     )  # fmt: skip
-    page.text(
-        1.0 - (right - 1.35) / width,
-        (height - heading - tall_bars - 0.16) / height,
-        "grey: models without a plane",
-        size=8,
-        color=FAINT,
-        va="center",
-    )
+    remarks = [("grey: models without a plane", FAINT)]
+    if published is not None:
+        remarks.append((f"dashed: published, {published:g}", VERMILION))
+    for k, (words, colour) in enumerate(remarks):
+        at = (height - heading - tall_bars - 0.16 - 0.2 * k) / height
+        page.text(1.0 - (right - 1.35) / width, at, words, size=8, color=colour, va="center")
     return page
 
 
@@ -278,6 +295,19 @@ def by_speed_rows(runs: Sequence[Sequence[Entry]]) -> list[list[str]]:
     return out
 
 
+def _apart(places: Sequence[float], room: float) -> list[float]:
+    """Rising places moved as little as needed to be ``room`` apart, groups about their middle."""
+    groups: list[tuple[float, int]] = []  # lowest place of a group, members
+    for place in places:
+        low, n = place, 1
+        while groups and groups[-1][0] + groups[-1][1] * room > low:
+            below, m = groups.pop()
+            low = (m * below + n * (low - m * room)) / (m + n)
+            n += m
+        groups.append((low, n))
+    return [low + k * room for low, n in groups for k in range(n)]
+
+
 LINES: dict[str, tuple[str, str, str]] = {
     "toma": ("#0072b2", "-", "o"),
     "yang-manos": ("#e69f00", "-", "s"),
@@ -294,45 +324,62 @@ LINES: dict[str, tuple[str, str, str]] = {
 
 
 def by_speed_figure(
-    title: str, speeds: Sequence[float], runs: Sequence[Sequence[Entry]]
+    title: str,
+    speeds: Sequence[float],
+    runs: Sequence[Sequence[Entry]],
+    published: Sequence[tuple[float, float]] = (),
+    lines: Sequence[tuple[str, Sequence[tuple[float, float]]]] = (),
 ) -> Figure:
-    """Cars derailed over the speed, one line a model, named at its end."""
+    """Cars derailed over the speed, one line a model, named at its end.
+
+    ``published`` are points (km/h, cars); ``lines`` further curves with their names.
+    """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from derail_ros.review.figures import INK, STYLE
+    from derail_ros.review.figures import FAINT, INK, STYLE, VERMILION
 
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(9.0, 5.2), facecolor="white")
         FigureCanvasAgg(page)
         axes = page.add_axes((0.07, 0.11, 0.73, 0.78))
         ends = []
+        curves = []
         for k, entry in enumerate(runs[0]):
             found = [
                 (v, float(entries[k].record["cars_derailed"]))  # type: ignore[index]
                 for v, entries in zip(speeds, runs, strict=True)
                 if entries[k].record is not None
             ]
-            if not found:
-                continue
-            colour, line, mark = LINES[entry.model]
+            if found:
+                curves.append((entry.model, found, *LINES[entry.model]))
+        curves += [(name, list(points), FAINT, (0, (1, 2)), "") for name, points in lines]
+        for name, found, colour, line, mark in curves:
             axes.plot(
                 *zip(*found, strict=True), color=colour, ls=line, marker=mark, ms=6,
-                lw=2.2 if entry.model == "toma" else 1.4,
+                lw=2.2 if name == "toma" else 1.4,
             )  # fmt: skip
-            ends.append([found[-1][1], found[-1][0], entry.model, colour])
+            ends.append((found[-1][1], found[-1][0], name, colour))
+        if published:
+            axes.plot(
+                *zip(*published, strict=True), ls="", marker="*", ms=15, mfc="white",
+                mec=VERMILION, mew=1.6, zorder=6, label="published",
+            )  # fmt: skip
+            axes.legend(loc="upper left", frameon=False, fontsize=9)
         low, high = axes.get_ylim()
         axes.set_ylim(0.0, high)
         # Names at the ends of the lines, moved apart where they would lie on each other.
+        ends.sort()
         room = 0.042 * high
-        at = -room
-        for end in sorted(ends, key=lambda e: e[0]):
-            at = max(end[0], at + room)
+        places = _apart([end[0] for end in ends], room)
+        right = max(speeds)
+        for end, at in zip(ends, places, strict=True):
             axes.annotate(
-                end[2], (end[1], end[0]), (max(speeds) * 1.035, at), color=end[3], size=9,
+                end[2], (right * 1.003, end[0]), (right * 1.05, at), color=end[3], size=9,
                 va="center", annotation_clip=False,
-                arrowprops={"arrowstyle": "-", "color": end[3], "lw": 0.6, "shrinkB": 4},
+                arrowprops={"arrowstyle": "-", "color": end[3], "lw": 0.6,
+                            "shrinkA": 1, "shrinkB": 3},
             )  # fmt: skip
         axes.set_xlabel("speed, km/h")
         axes.set_ylabel("cars derailed")

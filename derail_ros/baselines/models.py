@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +44,13 @@ MODELS: dict[str, str] = {
 
 VARIED = ("toma", "yang-manos", "anderson")
 """Models whose outcome knows the initiating lateral force: those that have ensembles."""
+
+CONSTANTS: dict[str, tuple[str, ...]] = {
+    "yang-manos": ("friction", "widening"),
+    "anderson": ("stiffness", "damping", "force_limit", "friction", "restitution"),
+    "roorda-gracie": ("friction", "increment", "start_angle"),
+}
+"""Models with constants of their own that a caller may choose."""
 
 ENERGIES = (
     "kinetic",
@@ -116,6 +123,7 @@ def run_model(
     params: TrainParams,
     *,
     roll: bool = False,
+    constants: Mapping[str, float] | None = None,
     progress: Callable[[float, int], None] | None = None,
 ) -> ModelRun:
     """Put a model to work on a train.
@@ -125,6 +133,8 @@ def run_model(
     name : of :data:`MODELS`
     params : the engine's parameters of a scenario
     roll : add the roll estimate to the notes (``toma``, ``anderson``)
+    constants : of the model itself, by the names of ``YangManosParams``, ``AndersonParams`` and
+        the arguments of ``roorda_gracie``; the others have none
     progress : called now and then with the time of the run (s) and the cars derailed so far
 
     Raises
@@ -136,15 +146,18 @@ def run_model(
     """
     if name not in MODELS:
         raise ModelError(f"unknown model {name!r}; there are {', '.join(MODELS)}")
+    own = dict(constants or {})
+    if unknown := sorted(set(own) - set(CONSTANTS.get(name, ()))):
+        raise ModelError(f"{name} has no constant {unknown[0]!r}")
     began = time.perf_counter()
     if name == "toma":
         run = _toma(params, roll, progress)
     elif name == "yang-manos":
-        run = _yang_manos(params, progress)
+        run = _yang_manos(params, own, progress)
     elif name == "anderson":
-        run = _anderson(params, roll, progress)
+        run = _anderson(params, roll, own, progress)
     elif name == "roorda-gracie":
-        run = _roorda_gracie(params)
+        run = _roorda_gracie(params, own)
     elif name == "blockage":
         run = _blockage(params)
     else:
@@ -212,13 +225,17 @@ def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
         simulation.advance_steps(1)
 
 
-def _yang_manos(params: TrainParams, progress: Callable[[float, int], None] | None) -> ModelRun:
-    from derail_ros.baselines.yang_manos import configure, zigzag
+def _yang_manos(
+    params: TrainParams,
+    own: dict[str, float],
+    progress: Callable[[float, int], None] | None,
+) -> ModelRun:
+    from derail_ros.baselines.yang_manos import YangManosParams, configure, zigzag
     from derail_ros.engine import Simulation
     from derail_ros.review.scene import scene_from_simulation
 
     train = derailing_train(params)
-    simulation = Simulation(configure(params))
+    simulation = Simulation(configure(params, YangManosParams(**own)))
     _go(simulation, progress)
     outcome = simulation.outcome()
     record = outcome_record(outcome)
@@ -255,12 +272,15 @@ def _yang_manos(params: TrainParams, progress: Callable[[float, int], None] | No
 
 
 def _anderson(
-    params: TrainParams, roll: bool, progress: Callable[[float, int], None] | None
+    params: TrainParams,
+    roll: bool,
+    own: dict[str, float],
+    progress: Callable[[float, int], None] | None,
 ) -> ModelRun:
-    from derail_ros.baselines.anderson import AndersonModel
+    from derail_ros.baselines.anderson import AndersonModel, AndersonParams
     from derail_ros.review.scene import make_scene
 
-    model = AndersonModel(params)
+    model = AndersonModel(params, AndersonParams(**own))
     while not model.ended:
         model.advance_to(model.time + 0.5)
         if progress is not None:
@@ -319,7 +339,7 @@ def _numbers(train: Train, count: float) -> list[int]:
     return [train.first + 1 + i for i in range(min(round(count), train.n))]
 
 
-def _roorda_gracie(params: TrainParams) -> ModelRun:
+def _roorda_gracie(params: TrainParams, own: dict[str, float]) -> ModelRun:
     from derail_ros.baselines.roorda_gracie import roorda_gracie
     from derail_ros.engine.outcome import car_corners, scene_box
     from derail_ros.engine.track import Track
@@ -328,7 +348,7 @@ def _roorda_gracie(params: TrainParams) -> ModelRun:
     if not is_straight(params):
         raise ModelError("the model of Roorda and Gracie is put to work on straight track only")
     train = derailing_train(params)
-    run = roorda_gracie(train, brakes_of(params, train))
+    run = roorda_gracie(train, brakes_of(params, train), **own)
     k = run.derailed
     half = [np.array([0.5 * getattr(c, key) for c in train.cars]) for key in ("length", "width")]
     straight = Track(dataclasses.replace(params.track, segments=()))
@@ -404,7 +424,11 @@ def _blockage(params: TrainParams) -> ModelRun:
         bool(answer.whole_train),
         float(train.masses().sum()),
     )
-    return ModelRun("blockage", record, None, {"distance_m": number(answer.distance, 3)})
+    notes = {
+        "distance_m": number(answer.distance, 3),
+        "peak_speed_m_per_s": number(answer.peak_speed, 3),
+    }
+    return ModelRun("blockage", record, None, notes)
 
 
 def _bar(name: str, params: TrainParams) -> ModelRun:

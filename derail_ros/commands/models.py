@@ -191,11 +191,93 @@ def parse_speeds(text: str) -> list[float]:
     return speeds
 
 
+def write_page(
+    path: Path, members: int, seed: int, jobs: int | None, as_json: bool, more: bool
+) -> int:
+    """Ensembles of all models on the cases of ``docs/baselines.md``, and the page from them.
+
+    ``more``: something was said that belongs to a single comparison.
+    """
+    from derail_ros.baselines import page
+    from derail_ros.studies.ensemble import default_jobs
+
+    if more:
+        raise CommandFailure(
+            "--write is for the page's own cases as they are: without a scenario, --set, "
+            "--model, --speeds and -o"
+        )
+    plan = page.Plan()
+    images = common.image_beside(path, "models.png").parent
+    text = path.read_text(encoding="utf-8") if path.exists() else None
+    if text is not None and (missing := page.missing_markers(text, page.NAMES)):
+        raise CommandFailure(f"{path}: has no place for the results {', '.join(missing)}")
+    common.warm_up()
+    _warm_anderson()
+    tasks = page.jobs_of(plan, members)
+    with common.progress(*common.counting_columns()) as bars:
+        task = bars.add_task("compare-models", total=None)
+
+        def show(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        cases = page.compute(tasks, seed, at_a_time=jobs, progress=show)
+    write_results(path, text, images, cases, plan, members, seed, jobs or default_jobs())
+    note(f"derail: wrote {path} and its figures in {images}")
+    ensembles = [e for case in cases.values() for e in case.values()]
+    failed = [r["error"] for e in ensembles for r in e.records if "error" in r]
+    if as_json:
+        common.print_json({"members": members, "seed": seed,
+                           "ensembles": [e.as_dict() for e in ensembles]})  # fmt: skip
+    if failed:
+        note(f"derail: {len(failed)} runs failed: {'; '.join(sorted(set(failed)))}")
+    return FAILED if failed else OK
+
+
+def write_results(
+    path: Path,
+    text: str | None,
+    images: Path,
+    cases: Any,
+    plan: Any,
+    members: int,
+    seed: int,
+    at_a_time: int,
+) -> None:
+    """Fill the page and write its figures; a page that does not exist becomes a bare one."""
+    from derail_ros.baselines import page
+    from derail_ros.engine.jit import source_hash
+    from derail_ros.review import figures
+
+    drawn = page.figures(cases, plan)
+    for name, figure in drawn.items():
+        figures.save(figure, images / name, dpi=80)
+    few = max(2, members // 4)
+    at = "one run at a time" if at_a_time == 1 else f"{at_a_time} runs at a time"
+    about = (
+        f"<sub>`derail compare-models --write -n {members}`: {members} runs each for the models "
+        f"that know the push that starts the motion (it is varied by up to 4 %, seed {seed}), "
+        f"{few} each for other choices of constants, one for the others; mean ± standard "
+        f"deviation of single runs. Scenes drawn are those of the scenario itself. Wall times: "
+        f"{at}, kernels compiled before. Engine {source_hash()[:16]}.</sub>"
+    )
+    if text is None:
+        text = page.bare({name: f"images/{name}" for name in drawn})
+    path.write_text(page.fill(text, page.blocks(cases, plan, about)), encoding="utf-8")
+
+
+def _warm_anderson() -> None:
+    """Have Anderson's kernels compiled: its wall time shall not hold that."""
+    from derail_ros.baselines.anderson import AndersonModel
+
+    AndersonModel(common.load("base_train").to_params()).advance_to(0.01)
+
+
 def compare_models(
-    name_or_file: str,
+    name_or_file: str | None,
     settings: Sequence[str],
     models: Sequence[str],
     speeds: str | None,
+    members: int | None,
     as_json: bool,
     output: Path | None,
 ) -> int:
@@ -203,6 +285,10 @@ def compare_models(
     from derail_ros.baselines import comparison
     from derail_ros.baselines.models import MODELS
 
+    if name_or_file is None:
+        raise CommandFailure("name a scenario (derail scenarios), or --write for the page")
+    if members is not None:
+        raise CommandFailure("-n: only with --write; derail simulate --model has ensembles too")
     chosen = list(models) or list(MODELS)
     for name in chosen:
         _check_model(name)
@@ -212,10 +298,8 @@ def compare_models(
         output = common.output_directory(output)
     if any(_needs_kernels(name) for name in chosen):
         common.warm_up()
-        if "anderson" in chosen:  # its wall time shall not hold its compilation
-            from derail_ros.baselines.anderson import AndersonModel
-
-            AndersonModel(scenario.to_params()).advance_to(0.01)
+        if "anderson" in chosen:
+            _warm_anderson()
     trains = (
         [scenario]
         if series is None

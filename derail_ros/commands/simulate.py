@@ -82,6 +82,8 @@ def run(
         "outcomes": outcomes,
         "mean": moments.mean(),
         "sd": moments.sd(),
+        "model": "toma",
+        "notes": {},
     }
     if output is not None:
         _write(output, scenario, settings, seed, report, simulation)

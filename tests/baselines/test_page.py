@@ -1,0 +1,181 @@
+"""``derail compare-models --write``: what stands on the page comes from the runs."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from derail_ros.baselines import page
+from derail_ros.baselines.models import MODELS, run_model
+from derail_ros.cli import main
+from derail_ros.commands.models import write_results
+from derail_ros.scenario import load_scenario
+from derail_ros.studies.ensemble import member_factor, vary
+from derail_ros.studies.records import failed_record
+from derail_ros.studies.validation import load_published
+
+ROOT = Path(__file__).parents[2]
+SHORT = {"train.consist.0.count": 14}
+PLAN = page.Plan(
+    speeds=(30.0, 48.0),
+    scene_speed=48.0,
+    fast=(96.0,),
+    choice_speeds=(65.0,),
+    trains=("mississauga", "yang_manos_base"),
+    limits=(3e6, 20e6),
+    frictions=(1.0, 2.0),
+    tuned_speeds=(48.0,),
+)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return page.compute(page.jobs_of(PLAN, 2), at_a_time=1)
+
+
+@pytest.fixture(scope="module")
+def written(cases, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "images").mkdir()
+    path = folder / "page.md"
+    write_results(path, None, folder / "images", cases, PLAN, 2, 0, 1)
+    return path
+
+
+def table(text, block, heading=None):
+    """Rows of a table of a block: first cell -> the others."""
+    part = text.split(page.BEGIN.format(block))[1].split(page.END)[0]
+    tables = [t for t in part.split("\n\n") if t.lstrip().startswith("|")]
+    chosen = next(t for t in tables if heading is None or t.lstrip().startswith(f"| {heading}"))
+    lines = [[c.strip() for c in x.strip("| ").split(" | ")] for x in chosen.strip().splitlines()]
+    return {line[0].strip("`*"): line[1:] for line in lines if "---" not in line[0]}
+
+
+def runs(scenario, model, members, **overrides):
+    params = load_scenario(scenario).with_overrides(overrides).to_params()
+    return [run_model(model, vary(params, member_factor(0, i))).record for i in range(members)]
+
+
+@pytest.mark.parametrize("model", ["toma", "yang-manos", "anderson"])
+def test_figures_are_means_and_deviations_of_runs(written, model):
+    text = written.read_text(encoding="utf-8")
+    own = runs("base_train", model, 2, **{"train.speed_kmh": 48.0})
+    for heading, key, digits in (("cars derailed", "cars_derailed", 1),
+                                 ("duration (s)", "duration_s", 1)):  # fmt: skip
+        values = np.array([r[key] for r in own])
+        expected = f"{values.mean():.{digits}f} ± {values.std(ddof=1):.{digits}f}"
+        assert table(text, "base_train", heading)[model][1] == expected
+    scenes = table(text, "base_train", "scene")
+    mean = [np.mean([r[k] for r in own]) for k in ("scene_length_m", "scene_width_m")]
+    assert scenes[model][1] == f"{mean[0]:.0f} x {mean[1]:.0f}"
+
+
+def test_other_trains_and_models_without_a_push(written):
+    text = written.read_text(encoding="utf-8")
+    for name in ("mississauga", "yang_manos_base"):
+        rows = table(text, name)
+        assert [row for row in rows if row in MODELS] == list(MODELS)
+        (alone,) = runs(name, "blockage", 1)
+        assert rows["blockage"][0] == f"{alone['cars_derailed']:.1f}"
+        assert rows["blockage"][2:5] == ["-", "-", "-"]
+        assert all(float(row[5].split(" ")[0]) >= 0.0 for m, row in rows.items() if m in MODELS)
+    peak = [r["peak_force_N"] * 1e-6 for r in runs("mississauga", "toma", 2)]
+    expected = f"{np.mean(peak):.1f} ± {np.std(peak, ddof=1):.1f}"
+    assert table(text, "mississauga")["toma"][2] == expected
+
+
+def test_published_rows(written):
+    text = written.read_text(encoding="utf-8")
+    known = {case.name: case.published for case in load_published().cases}
+    counts = table(text, "base_train", "cars derailed")["published"]
+    assert counts == [str(known[f"base_{v}"]["cars_derailed"]) for v in (30, 48)] == ["5", "10"]
+    peaks = table(text, "base_train", "peak force")["published"]
+    assert [float(p) for p in peaks] == [known[f"base_{v}"]["peak_force_MN"] for v in (30, 48)]
+    row = table(text, "mississauga")["published"]
+    assert [float(x) for x in row[:5]] == [24, 25.3, 23.09, 109, 41.7]
+    assert table(text, "mississauga")["the accident"][:5] == ["24", "-", "-", "132", "39"]
+    assert "published" not in table(text, "yang_manos_base")
+
+
+def test_tables_of_choices(written, cases):
+    text = written.read_text(encoding="utf-8")
+    row = table(text, "yang_manos_speed")["96"]
+    assert row[0] == "-"
+    assert row[5:] == ["0", "1"]  # couplings parted, zig-zag
+    choices = table(text, "yang_manos_choices")
+    count = {name: float(cells[0].split(" ")[0]) for name, cells in choices.items()
+             if name != "cars derailed of 61"}  # fmt: skip
+    assert count["friction 2.0"] < count["friction 1.5"] < count["as configured"]
+    assert count["as configured"] < count["brakes of 25 kN a car"] < count["no brakes"]
+    assert count["the main model"] < count["the main model, no brakes"]
+    limits = table(text, "anderson_limit")
+    removed = limits["base train, 48 km/h: springs removed, mean"]
+    assert float(removed[0]) > float(removed[1])
+    friction = table(text, "roorda_gracie_friction")
+    assert float(friction["friction 2"][0]) < float(friction["friction 1"][0])
+    assert table(text, "joints")["six equal bars, 450 t"][1] == "-0.268"
+    assert re.search(r"10000 trains .*: \d+\.\d s", text)
+    images = sorted(p.name for p in (written.parent / "images").iterdir())
+    assert images == sorted(page.figures(cases, PLAN))
+    assert all((written.parent / "images" / n).stat().st_size > 5000 for n in images)
+
+
+def test_a_page_is_filled_between_its_marks_only(written):
+    text = written.read_text(encoding="utf-8").replace("## joints", "## By hand")
+    again = page.fill(text, {"joints": "NEW", "about": "ABOUT"})
+    assert "## By hand" in again
+    assert "-0.268" not in again
+    assert table(again, "mississauga") == table(text, "mississauga")
+    assert page.fill(again, {"joints": "NEW", "about": "ABOUT"}) == again
+    with pytest.raises(ValueError, match="no place for the results joints"):
+        page.fill("# nothing", {"joints": "x"})
+
+
+def test_the_page_has_a_place_for_every_result():
+    text = (ROOT / "docs" / "baselines.md").read_text(encoding="utf-8")
+    assert page.missing_markers(text, page.NAMES) == []
+    for image in re.findall(r"\((images/[a-z0-9_]+\.png)\)", text):
+        assert (ROOT / "docs" / image).stat().st_size > 5000
+    # written by the command, with a place for nothing else
+    assert set(re.findall(r"<!-- results: (\w+) -->", text)) == set(page.NAMES)
+    assert "derail compare-models --write" in text
+
+
+def test_failed_and_void_runs_are_said():
+    job = page.Job("base_30", "toma", "toma", "base_train", members=3)
+    record = runs("base_train", "toma", 1, **{**SHORT, "train.speed_kmh": 20})[0]
+    void = {**record, "void": True, "status": "void"}
+    ensemble = page.Ensemble(job, (record, void, failed_record("StepSizeError: x")), (), None)
+    assert page.with_spread(ensemble, "cars_derailed") == f"{record['cars_derailed']:.1f}"
+    words = "\n".join(page._left_out([ensemble]))
+    assert "1 of 3 failed (StepSizeError: x)" in words
+    assert "1 of 3 void" in words
+
+
+def test_power_law():
+    v = np.array([30.0, 60.0, 90.0])
+    assert page.power_law(v, 0.04 * v**1.4) == pytest.approx((0.04, 1.4))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("base_train", "--write"), "--write"),
+        (("--write", "--set", "ground.scale=2"), "--write"),
+        (("--write", "--to", "/no/such/page.md"), "/no/such"),
+        (("--write", "--to", "{other}"), "no place for the results base_train"),
+        (("base_train", "-n", "3"), "only with --write"),
+        ((), "scenario"),
+    ],
+)
+def test_mistakes_are_one_line_before_the_first_run(capsys, tmp_path, arguments, word):
+    other = tmp_path / "other.md"
+    other.write_text("# By hand\n", encoding="utf-8")
+    code = main(["compare-models", *(a.replace("{other}", str(other)) for a in arguments)])
+    out, err = capsys.readouterr()
+    assert code == 2
+    assert word in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert other.read_text(encoding="utf-8") == "# By hand\n"
