@@ -1,6 +1,8 @@
 """Models without forces in the plane: blockage, joint velocities, increments, bars as models."""
 
 import math
+import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -73,6 +75,25 @@ def test_thousands_of_trains_are_as_one_at_a_time():
     assert (answer.cars_derailed[answer.whole_train] == n[answer.whole_train]).all()
 
 
+def test_thousands_of_trains_at_once_do_not_go_one_after_the_other():
+    rng = np.random.default_rng(2)
+    v, n = rng.uniform(3.0, 33.0, 3000), rng.integers(10, 151, 3000)
+    v[0], n[0] = 33.0, 150  # the one that runs the longest
+
+    def seconds(*train):
+        began = time.process_time()
+        blockage(*train)
+        return time.process_time() - began
+
+    alone = min(seconds(v[0], n[0]) for _ in range(3))
+    assert seconds(v, n) < 300.0 * alone
+
+
+def test_nothing_drives_the_train():
+    v = np.linspace(0.0, 40.0, 200)
+    assert (blockage(v, 60).peak_speed == v).all()
+
+
 def test_blockage_counts_nothing_that_stops_short_of_the_point():
     answer = blockage(np.array([0.0, 3.0, 20.0]), 60, run_up=100.0)
     assert answer.cars_derailed[:2].tolist() == [0.0, 0.0]
@@ -123,6 +144,21 @@ def test_joint_velocities_against_a_dense_solve():
         )
         energy = 0.5 * (m * centre**2 + inertia * yaw**2).sum()
         assert answer.energy == pytest.approx(energy)
+
+
+def test_a_chain_of_any_length_costs_no_more_than_its_length():
+    n = 50_000  # a matrix of all joints would take 20 GB
+    m, lengths = np.full(n, 75e3), np.full(n, 15.0)
+    m[::3] = 30e3
+    tracemalloc.start()
+    try:
+        answer = joint_velocities(m, lengths, impulse=1.0)
+        used = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert used < 1000 * n
+    few = joint_velocities(m[:60], lengths[:60], impulse=1.0)
+    assert answer.joint[:30] == pytest.approx(few.joint[:30], abs=1e-15)
 
 
 def test_equal_bars_fall_off_by_two_less_root_three():
