@@ -135,11 +135,10 @@ def _exercise(before_steps: Callable[[], object] = lambda: None) -> None:
     run.outcome()
 
 
-def compile_stepping() -> None:
-    """Compile the parts of ``advance`` that evaluate no forces."""
-    from numba import float64, typeof
+def _types() -> tuple[Any, Any, Any]:
+    """Types of the arrays of a run, as the kernels see them."""
+    from numba import typeof
 
-    from derail_ros.engine import features, neighbours, stepper
     from derail_ros.engine.arrays import make_work
     from derail_ros.engine.build import build_model, initial_state
     from derail_ros.engine.track import Track
@@ -148,12 +147,24 @@ def compile_stepping() -> None:
     track = Track(params.track)
     model = build_model(params, track)
     state = initial_state(params, model, track)
-    m, s = typeof(model), typeof(state)
-    w = typeof(make_work(len(params.cars), len(state.pairs), 64, False))
+    work = make_work(len(params.cars), len(state.pairs), 64, False)
+    return typeof(model), typeof(state), typeof(work)
+
+
+def compile_stepping() -> None:
+    """Compile the parts of ``advance`` that evaluate no forces."""
+    from numba import float64, int64
+
+    from derail_ros.engine import features, interpolation, neighbours, runge_kutta, stepper
+
+    m, s, w = _types()
+    table, row = float64[:, ::1], float64[::1]
     for kernel, types in (
+        # first, for the stages want its friction, which is then in the cache
+        (runge_kutta.longest_stable, (m, s, w, float64, float64)),
         (neighbours.track_contacts, (m, s, w, float64, float64)),
         (stepper.remove_constraints, (m, s, w)),
-        (neighbours.rebuild, (m, s, w)),
+        (runge_kutta.step_error, (m, s, w, float64, int64, int64)),
         (stepper.note_progress, (m, s, w)),
         (features.first_change, (m, s, w, float64)),
         (features.first_kink, (m, s, w, float64)),
@@ -164,8 +175,19 @@ def compile_stepping() -> None:
         (stepper.keep_forces, (s, w)),
         (stepper.energy_residual, (m, s)),
         (stepper.next_switch, (m, s, float64)),
+        (interpolation.interpolate, (s, float64, table, table, table)),
+        (interpolation.interpolate_energy, (s, float64, row)),
     ):
         kernel.compile(types)
+
+
+def compile_stages() -> None:
+    """Compile the stages of a step, which evaluate forces."""
+    from numba import float64, int64
+
+    from derail_ros.engine import runge_kutta
+
+    runge_kutta.take_stages.compile((*_types(), float64, int64))
 
 
 @contextmanager
@@ -206,7 +228,12 @@ def _compile(say: Callable[[str], None]) -> None:
         say(f"compiling the kernels for this machine, once (about half a minute; {CACHE_DIR})")
         began = time.perf_counter()
         with _second_process() as wait:
-            _exercise(wait)
+
+            def before_steps() -> None:
+                compile_stages()
+                wait()
+
+            _exercise(before_steps)
         say(f"compiled in {time.perf_counter() - began:.0f} s")
         try:
             marker.touch()
