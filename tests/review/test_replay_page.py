@@ -95,6 +95,26 @@ def test_the_policy_allows_this_script_and_this_style_only(page: Path) -> None:
     }
 
 
+def luminance(colour: str) -> float:
+    """Relative luminance of #rrggbb, as WCAG has it."""
+    parts = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+
+def test_texts_stand_out_from_what_they_are_on(page: Path) -> None:
+    """A contrast of 4.5 (WCAG AA), light and dark; a chosen row lies on --now."""
+    style = Elements(page.read_text(encoding="utf-8")).raw["style"][0]
+    schemes = re.findall(r":root[^{]*\{([^}]*)\}", style)
+    assert len(schemes) == 2
+    for scheme in schemes:
+        colour = dict(re.findall(r"--([\w-]+): (#\w{6})", scheme))
+        pairs = [(text, on) for text in ("ink", "subtle") for on in ("bg", "panel", "now", "warn")]
+        for text, on in [*pairs, ("accent-ink", "accent")]:
+            light, dark = sorted((luminance(colour[c]) for c in (text, on)), reverse=True)
+            assert (light + 0.05) / (dark + 0.05) >= 4.5, f"--{text} on --{on}"
+
+
 def test_names_of_controls_and_identities(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     elements = Elements(text)
