@@ -395,15 +395,15 @@ def _draw_box(axes: Axes, scene: Scene) -> None:
     long = scene.scene_length if math.isfinite(scene.scene_length) else high[0] - low[0]
     wide = scene.scene_width if math.isfinite(scene.scene_width) else high[1] - low[1]
     # Clear of the cars and of the couplers at their ends, at any scale.
-    ahead = max(high[0], float(scene.faces()[derailed][..., 0].max()))
-    across, above = 0.5 * (low + high)[1], 0.5 * (low + high)[0]
+    ahead, top = np.maximum(high, scene.faces()[derailed].reshape(-1, 2).max(axis=0))
+    middle = 0.5 * (low + high)
     label |= {"textcoords": "offset points"}
     axes.annotate(
-        _metres(long), xy=(above, high[1]), xytext=(0, 4), ha="center", va="bottom", **label
+        _metres(long), xy=(middle[0], top), xytext=(0, 4), ha="center", va="bottom", **label
     )
     axes.annotate(
         _metres(wide),
-        xy=(ahead, across),
+        xy=(ahead, middle[1]),
         xytext=(5, 0),
         ha="left",
         va="center",

@@ -173,6 +173,23 @@ def test_dimensions_break_scale_and_key(figure):
     assert any(t.endswith("m shown; the frame is the picture above") for t in found)
 
 
+def test_dimensions_lie_clear_of_cars_and_couplers_that_stick_out():
+    """Of a car across the track in the middle, its front coupler towards the label."""
+    scene = pile_up()
+    low, high = np.ptp(scene.corners()[:8, :, 0]), scene.corners()[:8, :, 1].max()
+    middle = scene.corners()[:8, :, 0].min() + 0.5 * low
+    scene.pose[3] = (middle, high - 5.0, math.pi / 2)
+    coupler = scene.faces()[3, 0]
+    assert coupler[1] > scene.corners()[:8, :, 1].max() + 0.5
+    figure = figures.final_scene(scene)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    (label,) = (t for t in axes.texts if t.get_text() == "61.0 m")
+    box = label.get_window_extent(figure.canvas.get_renderer())
+    box = box.transformed(axes.transData.inverted())
+    assert box.y0 > coupler[1]
+
+
 def test_states_differ_by_more_than_colour(figure):
     (legend,) = figure.legends
     hatches = [h.get_hatch() for h in legend.legend_handles if isinstance(h, Patch)]
