@@ -69,3 +69,127 @@ def test_foxglove_looks_from_above_with_the_train_going_right():
     layout = json.loads((ROOT / "config" / "derail_ros.foxglove.json").read_text("utf-8"))
     camera = layout["configById"]["3D!scene"]["cameraState"]
     assert (camera["perspective"], camera["phi"], camera["thetaOffset"]) == (False, 0, 0)
+
+
+# Settings that Lichtblick 1.28, an open fork of Foxglove, declares for its panels (RendererConfig
+# and CameraState, PlotConfig and PlotPath, RawMessagesPanelConfig): a name with its type, or the
+# values that it can have. Of a name that is not there it takes no notice.
+NUMBER = (int, float)
+TITLES = {"foxglovePanelTitle": str, "lichtblickPanelTitle": str}
+SETTINGS = {
+    "3D": {
+        "cameraState": dict,
+        "followTf": str,
+        "followMode": {"follow-pose", "follow-position", "follow-none"},
+        "scene": dict,
+        "publish": dict,
+        "transforms": dict,
+        "topics": dict,
+        "layers": dict,
+        "imageMode": dict,
+    },
+    "Plot": {
+        "paths": list,
+        "showLegend": bool,
+        "legendDisplay": {"floating", "top", "left", "none"},
+        "showPlotValuesInLegend": bool,
+        "showXAxisLabels": bool,
+        "showYAxisLabels": bool,
+        "isSynced": bool,
+        "xAxisVal": {"timestamp", "index", "custom", "currentCustom"},
+        "sidebarDimension": NUMBER,
+    },
+    "RawMessages": {
+        "diffEnabled": bool,
+        "diffMethod": {"custom", "previous message"},
+        "diffTopicPath": str,
+        "expansion": {"all", "none"},
+        "showFullMessageForDiff": bool,
+        "topicPath": str,
+    },
+}
+CAMERA = {
+    "distance": NUMBER,
+    "perspective": bool,
+    "phi": NUMBER,
+    "thetaOffset": NUMBER,
+    "target": 3,
+    "targetOffset": 3,
+    "targetOrientation": 4,
+    "fovy": NUMBER,
+    "near": NUMBER,
+    "far": NUMBER,
+}
+GRID = {
+    "layerId": {"foxglove.Grid"},
+    "instanceId": str,
+    "label": str,
+    "visible": bool,
+    "frameLocked": bool,
+    "size": NUMBER,
+    "divisions": int,
+    "lineWidth": NUMBER,
+    "color": str,
+    "position": 3,
+    "rotation": 3,
+    "order": int,
+}
+LINE = {
+    "value": str,
+    "label": str,
+    "enabled": bool,
+    "timestampMethod": {"receiveTime", "headerStamp"},
+    "showLine": bool,
+}
+
+
+def check_settings(found, declared):
+    """Hold settings against the declared ones: names, types, values, lengths of vectors."""
+    for name, value in found.items():
+        kind = declared[name]
+        if isinstance(kind, set):
+            assert value in kind, name
+        elif isinstance(kind, int):
+            assert len(value) == kind and all(isinstance(v, NUMBER) for v in value), name
+        else:
+            assert isinstance(value, kind), name
+
+
+def test_foxglove_knows_the_settings_of_its_panels():
+    layout = json.loads((ROOT / "config" / "derail_ros.foxglove.json").read_text("utf-8"))
+    assert set(layout) == {
+        "configById",
+        "globalVariables",
+        "userNodes",
+        "playbackConfig",
+        "layout",
+    }
+    for name, panel in layout["configById"].items():
+        check_settings(panel, SETTINGS[name.partition("!")[0]] | TITLES)
+        assert panel["foxglovePanelTitle"] == panel["lichtblickPanelTitle"] != ""
+        for line in panel.get("paths", []):
+            check_settings(line, LINE)
+    scene = layout["configById"]["3D!scene"]
+    assert set(scene["cameraState"]) == set(CAMERA)
+    check_settings(scene["cameraState"], CAMERA)
+    for name, layer in scene["layers"].items():
+        check_settings(layer, GRID)
+        assert layer["instanceId"] == name
+    assert all(settings.keys() == {"visible"} for settings in scene["topics"].values())
+
+    def splits(node):
+        if isinstance(node, dict):
+            assert node["direction"] in ("row", "column") and 0 < node["splitPercentage"] < 100
+            splits(node["first"])
+            splits(node["second"])
+
+    splits(layout["layout"])
+
+
+def test_lines_over_header_stamps_are_of_messages_with_a_header():
+    layout = json.loads((ROOT / "config" / "derail_ros.foxglove.json").read_text("utf-8"))
+    for panel in layout["configById"].values():
+        for line in panel.get("paths", []):
+            package, _, message = TOPICS[line["value"][1:].partition(".")[0]].msgtype.split("/")
+            text = (ROOT / package / "msg" / f"{message}.msg").read_text(encoding="utf-8")
+            assert re.search(r"^std_msgs/Header +header\b", text, re.MULTILINE), message
