@@ -212,7 +212,8 @@ class Graph:
                 if gone if each is not process else gone is not None:
                     raise AssertionError(f"a process ended before {what}:\n{each.output}")
             if time.monotonic() > end:
-                raise AssertionError(f"waited in vain: {what}")
+                told = "".join(f"\n--- {p.log.name}\n{p.output[-4000:]}" for p in self.processes)
+                raise AssertionError(f"waited in vain: {what}{told}")
             self.spin()
 
     def listen(self, *names: str, namespace: str = "") -> dict[str, list[Any]]:

@@ -410,15 +410,23 @@ def test_services_answer_within_a_tenth_of_a_second_at_full_load(fresh: Graph) -
     assert statistics.quantiles(took[2:], n=10)[-1] < 0.1
 
 
-def test_a_second_simulator_does_not_publish_the_clock(fresh: Graph) -> None:
+def test_only_one_of_two_simulators_publishes_the_clock(fresh: Graph) -> None:
+    """The second refuses; where discovery was slow and both are young, either of them may."""
     second = fresh.start("simulator", "-r", "__node:=second", scenario="")
+    refusal = "another node publishes /clock"
     fresh.until(
-        lambda: "another node publishes /clock" in second.output, "the second refuses", second
+        lambda: refusal in second.output or refusal in fresh.process.output, "one refuses", second
     )
-    fresh.until(lambda: fresh.node.count_publishers("/clock") == 1, "one publishes")
-    clocks = len(fresh.heard["/clock"])
-    fresh.until(lambda: len(fresh.heard["/clock"]) > clocks + 10, "the clock goes on")
+    ticking(fresh)
     assert second.end() == 0, second.output
+    ticking(fresh)
+
+
+def ticking(made: Graph) -> None:
+    """Wait until one node publishes the clock, and see it go on."""
+    made.until(lambda: made.node.count_publishers("/clock") == 1, "one publishes")
+    clocks = len(made.heard["/clock"])
+    made.until(lambda: len(made.heard["/clock"]) > clocks + 10, "the clock goes on")
 
 
 @pytest.mark.parametrize(("mine", "other"), [(b"a", b"b"), (b"b", b"a")])
