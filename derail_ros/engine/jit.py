@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 import llvmlite
@@ -52,19 +53,36 @@ def cache_root() -> Path:
     return Path(base) / "derail_ros"
 
 
-def _writable(folder: Path) -> Path:
-    """The folder, made; a private temporary one where it cannot be written."""
+def _made(folder: Path, private: bool = False) -> bool:
+    """Make the folder; whether it can be written (and, if ``private``, by this user alone)."""
     try:
+        if private:
+            # What is in it will be run: in a place where anybody may write it must be ours.
+            folder.parent.mkdir(mode=0o700, exist_ok=True)
+            found = folder.parent.lstat()
+            if found.st_uid != os.getuid() or not S_ISDIR(found.st_mode) or found.st_mode & 0o022:
+                return False
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return folder
+            return True
     except OSError:
-        return Path(tempfile.gettempdir()) / f"derail_ros-{os.getuid()}" / folder.name
+        return False
+
+
+def _choose(wanted: Path) -> tuple[Path, bool]:
+    """The folder for the kernels, a temporary one if need be; whether it can be written."""
+    if _made(wanted):
+        return wanted, True
+    try:
+        spare = Path(tempfile.gettempdir()) / f"derail_ros-{os.getuid()}" / wanted.name
+    except (OSError, AttributeError):  # nowhere at all; no such thing as a user's number
+        return wanted, False
+    return (spare, True) if _made(spare, private=True) else (wanted, False)
 
 
 FOLDER_PREFIX = "kernels-"
-CACHE_DIR = _writable(cache_root() / f"{FOLDER_PREFIX}{source_hash()}")
-"""Folder of this version's compiled kernels."""
+CACHE_DIR, CAN_KEEP = _choose(cache_root() / f"{FOLDER_PREFIX}{source_hash()}")
+"""Folder of this version's compiled kernels, and whether they can be kept there."""
 
 
 def _keep_separate(typing_context: Any) -> Any:  # runs in the compiler
@@ -90,7 +108,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     config: Any = numba_config
     previous = config.CACHE_DIR
     config.CACHE_DIR = str(CACHE_DIR)
-    options.update(cache=True, nogil=True, fastmath=False, error_model="numpy")
+    options.update(cache=CAN_KEEP, nogil=True, fastmath=False, error_model="numpy")
     # Kernels own no array: without numba's runtime they do not count references to the dozens
     # that they hand on, which took 10 to 15 % of a run.
     options["_nrt"] = False

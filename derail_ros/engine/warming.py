@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from derail_ros.engine.jit import CACHE_DIR, FOLDER_PREFIX
+from derail_ros.engine.jit import CACHE_DIR, CAN_KEEP, FOLDER_PREFIX
 from derail_ros.engine.params import (
     BrakeUnit,
     Car,
@@ -222,6 +222,13 @@ def _second_process() -> Iterator[Callable[[], object]]:
 
 def _compile(say: Callable[[str], None]) -> None:
     marker = CACHE_DIR / COMPLETE
+    if not CAN_KEEP:
+        say(
+            f"{CACHE_DIR} cannot be written: the kernels are compiled at each start (about half a "
+            "minute); set DERAIL_CACHE_DIR to a folder that can"
+        )
+        _exercise()
+        return
     with _only_one(CACHE_DIR, say):
         if marker.exists():
             return
@@ -255,7 +262,7 @@ def ensure_compiled(say: Callable[[str], None] | None = None) -> None:
             return
         _state.inside = True
         try:
-            if not (CACHE_DIR / COMPLETE).exists():
+            if not (CAN_KEEP and (CACHE_DIR / COMPLETE).exists()):
                 _compile(say or _say)
             _hold(CACHE_DIR)
             _ready.set()

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,41 @@ print(jit.source_hash())
     (laws / "ground.py").rename(laws / "soil.py")
     seen.add(python(tree, HASH, cache)[0])
     assert len(seen) == 3
+
+
+@pytest.fixture
+def nowhere(tmp_path, monkeypatch):
+    """A folder that cannot be made, for root neither, and a place for temporary files."""
+    (tmp_path / "file").touch()
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    return tmp_path / "file" / "kernels-x"
+
+
+def test_kernels_are_kept_in_a_private_folder_if_need_be(nowhere, tmp_path):
+    folder, can_keep = jit._choose(nowhere)
+    assert can_keep
+    assert folder == tmp_path / "tmp" / f"derail_ros-{os.getuid()}" / "kernels-x"
+    assert folder.is_dir()
+    assert folder.parent.stat().st_mode & 0o077 == 0
+    assert jit._choose(nowhere) == (folder, True)
+    assert jit._choose(tmp_path / "kernels-x") == (tmp_path / "kernels-x", True)
+
+
+@pytest.mark.parametrize("how", ["open to all", "a link", "a file", "no place at all"])
+def test_kernels_are_not_kept_where_others_may_write(nowhere, tmp_path, monkeypatch, how):
+    spare = tmp_path / "tmp" / f"derail_ros-{os.getuid()}"
+    if how == "open to all":
+        spare.mkdir()
+        spare.chmod(0o777)
+    elif how == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        spare.symlink_to(tmp_path / "elsewhere")
+    elif how == "a file":
+        spare.touch()
+    else:
+        monkeypatch.setattr(tempfile, "tempdir", str(nowhere))
+    assert jit._choose(nowhere) == (nowhere, False)
 
 
 def test_two_versions_have_two_folders(tree, tmp_path):

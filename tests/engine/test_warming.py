@@ -69,6 +69,16 @@ def test_a_folder_that_cannot_be_written(folder, monkeypatch):
     assert compiled == [1]
 
 
+def test_what_cannot_be_kept_is_said_and_compiled(folder, monkeypatch):
+    compiled, said = [], []
+    monkeypatch.setattr(warming, "CAN_KEEP", False)
+    monkeypatch.setattr(warming, "_exercise", lambda: compiled.append(1))
+    warming.ensure_compiled(said.append)
+    warming.ensure_compiled(said.append)
+    assert compiled == [1]
+    assert len(said) == 1 and "cannot be written" in said[0] and str(folder) in said[0]
+
+
 @linux
 def test_stale_folders_go_unless_in_use(tmp_path):
     import fcntl

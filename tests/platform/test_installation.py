@@ -1,5 +1,6 @@
 """A wheel of the tree, installed: complete, executable, and it finds its configuration."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -84,3 +85,50 @@ def test_an_installation_finds_its_configuration(wheel, tmp_path, how):
     for executable in ("simulator", "recorder", "player"):
         path = folder / "lib" / "derail_ros" / executable
         assert path.stat().st_mode & 0o111
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("can_keep", [True, False])
+def test_a_read_only_installation_simulates(wheel, tmp_path, can_keep):
+    folder = tmp_path / "there"
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    command += ["--target", str(folder), str(wheel)]
+    subprocess.run(command, check=True, capture_output=True)
+    home, temporary = tmp_path / "home", tmp_path / "temporary"
+    home.mkdir()
+    temporary.mkdir()
+    closed = [folder, home] if can_keep else [folder, home, temporary]
+    program = [sys.executable, "-m", "derail_ros.cli", "simulate", "base_train"]
+    if not can_keep:  # nor may Python find another folder for temporary files
+        code = "import sys, tempfile; tempfile.tempdir = {!r}; sys.argv[0] = 'derail'\n"
+        code += "from derail_ros.cli import main; sys.exit(main())"
+        program[1:3] = ["-c", code.format(str(temporary))]
+    if os.getuid() == 0:  # root, but held to the modes of files
+        lose = "-dac_override,-dac_read_search"
+        program[:0] = ["setpriv", "--bounding-set", lose]
+        if shutil.which("setpriv") is None:
+            pytest.skip("no setpriv to lose root's rights with")
+    environment = {k: v for k, v in os.environ.items() if k not in ("DERAIL_CACHE_DIR",)}
+    environment |= {
+        "PYTHONPATH": str(folder), "HOME": str(home), "TMPDIR": str(temporary),
+        "XDG_CACHE_HOME": str(home / ".cache"),
+    }  # fmt: skip
+    subprocess.run(["chmod", "-R", "a-w", *closed], check=True)
+    try:
+        done = subprocess.run(
+            program, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+    finally:
+        subprocess.run(["chmod", "-R", "u+w", *closed], check=True)
+    assert done.returncode == 0, done.stderr
+    assert "cars derailed" in done.stdout
+    assert not list(home.iterdir())
+    assert not list(folder.rglob("*.nb[ic]"))
+    if can_keep:
+        assert done.stderr.count("compiling the kernels") == 1
+        assert str(temporary / f"derail_ros-{os.getuid()}") in done.stderr
+        assert list(temporary.rglob("*.nbc"))
+    else:
+        assert done.stderr.count("cannot be written") == 1
+        assert not list(temporary.iterdir())
