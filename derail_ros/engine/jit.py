@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from stat import S_ISDIR
-from typing import Any
+from typing import IO, Any
 
 import llvmlite
 import llvmlite.binding
@@ -85,6 +85,42 @@ CACHE_DIR, CAN_KEEP = _choose(cache_root() / f"{FOLDER_PREFIX}{source_hash()}")
 """Folder of this version's compiled kernels, and whether they can be kept there."""
 
 
+def lock(file: IO[bytes], shared: bool, wait: bool) -> bool:
+    """Take a lock on an open file; False when it is held and ``wait`` is not."""
+    if sys.platform == "win32":  # no lock there: processes may compile side by side
+        return True
+    import fcntl
+
+    how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    try:
+        fcntl.flock(file, how if wait else how | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _save_in_turn(kernel: Any) -> Any:
+    """Let one process at a time write the cache.
+
+    numba reads a kernel's index, picks the next free file name, and writes the index anew: of two
+    processes with different signatures one could find its name on the other's code.
+    """
+    cache: Any = getattr(kernel, "_cache", None)
+    save = getattr(cache, "save_overload", None)
+    if CAN_KEEP and save is not None:
+
+        def save_overload(signature: Any, data: Any) -> None:
+            try:
+                with open(CACHE_DIR / "saving", "ab") as file:
+                    lock(file, shared=False, wait=True)
+                    save(signature, data)
+            except OSError:  # the folder is gone or the disk full: the kernel works without
+                pass
+
+        cache.save_overload = save_overload
+    return kernel
+
+
 def _keep_separate(typing_context: Any) -> Any:  # runs in the compiler
     """Statement for the beginning of a large kernel: LLVM shall not inline it into its callers.
 
@@ -114,7 +150,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     options["_nrt"] = False
     options["pipeline_class"] = KernelCompiler
     try:
-        return forget_constants(numba.njit(**options)(function))
+        return forget_constants(_save_in_turn(numba.njit(**options)(function)))
     finally:
         config.CACHE_DIR = previous
 

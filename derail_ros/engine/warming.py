@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from derail_ros.engine.jit import CACHE_DIR, CAN_KEEP, FOLDER_PREFIX
+from derail_ros.engine.jit import CACHE_DIR, CAN_KEEP, FOLDER_PREFIX, lock
 from derail_ros.engine.params import (
     BrakeUnit,
     Car,
@@ -41,20 +41,6 @@ def _say(text: str) -> None:
     print(f"derail_ros: {text}", file=sys.stderr, flush=True)
 
 
-def _lock(file: IO[bytes], shared: bool, wait: bool) -> bool:
-    """Take a lock on an open file; False when it is held and ``wait`` is not."""
-    if sys.platform == "win32":  # no lock there: processes may compile side by side
-        return True
-    import fcntl
-
-    how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-    try:
-        fcntl.flock(file, how if wait else how | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
 @contextmanager
 def _only_one(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
     """Hold the folder's lock: one process compiles, the others wait."""
@@ -64,9 +50,9 @@ def _only_one(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
         yield
         return
     with file:
-        if not _lock(file, shared=False, wait=False):
+        if not lock(file, shared=False, wait=False):
             say("another process is compiling the kernels; waiting for it")
-            _lock(file, shared=False, wait=True)
+            lock(file, shared=False, wait=True)
         yield
 
 
@@ -75,7 +61,7 @@ def _hold(folder: Path) -> None:
     global _use
     try:
         _use = open(folder / "use", "wb")
-        _lock(_use, shared=True, wait=False)
+        lock(_use, shared=True, wait=False)
         os.utime(folder / COMPLETE)
     except OSError:
         pass  # a cache that is only read
@@ -92,10 +78,10 @@ def remove_stale(root: Path, keep: Path, older_than: float = STALE_AFTER) -> lis
             last = (marker if marker.exists() else folder).stat().st_mtime
             if time.time() - last < older_than:
                 continue
-            with open(folder / "use", "ab") as use, open(folder / "lock", "ab") as lock:
-                if not _lock(use, shared=False, wait=False):
+            with open(folder / "use", "ab") as use, open(folder / "lock", "ab") as held:
+                if not lock(use, shared=False, wait=False):
                     continue
-                if not _lock(lock, shared=False, wait=False):
+                if not lock(held, shared=False, wait=False):
                     continue
                 shutil.rmtree(folder, ignore_errors=True)
                 removed.append(folder)
@@ -190,6 +176,18 @@ def compile_stages() -> None:
     runge_kutta.take_stages.compile((*_types(), float64, int64))
 
 
+def be_second_process() -> None:
+    """Compile the stepping, and end at once if the process that asked for it is gone."""
+
+    def watch() -> None:
+        os.read(0, 1)  # nothing is written there: it ends with its writer
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    _ready.set()
+    compile_stepping()
+
+
 @contextmanager
 def _second_process() -> Iterator[Callable[[], object]]:
     """Compile the stepping beside the forces; gives what waits for it.
@@ -202,12 +200,12 @@ def _second_process() -> Iterator[Callable[[], object]]:
     code = (
         f"import sys; sys.path[:] = {sys.path!r}\n"
         "from derail_ros.engine import warming\n"
-        "warming._ready.set(); warming.compile_stepping()"
+        "warming.be_second_process()"
     )
     try:
         process = subprocess.Popen(
             [sys.executable, "-c", code],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     except OSError:
         yield lambda: None
@@ -218,6 +216,8 @@ def _second_process() -> Iterator[Callable[[], object]]:
         if process.poll() is None:
             process.kill()
             process.wait()
+        if process.stdin is not None:
+            process.stdin.close()
 
 
 def _compile(say: Callable[[str], None]) -> None:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import pytest
@@ -124,6 +125,38 @@ def test_kernels_are_not_kept_where_others_may_write(nowhere, tmp_path, monkeypa
     else:
         monkeypatch.setattr(tempfile, "tempdir", str(nowhere))
     assert jit._choose(nowhere) == (nowhere, False)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file locks there")
+def test_one_process_at_a_time_writes_the_cache(tmp_path, monkeypatch):
+    import fcntl
+
+    monkeypatch.setattr(jit, "CACHE_DIR", tmp_path)
+    monkeypatch.setattr(jit, "CAN_KEEP", True)
+    saved = []
+    kernel = jit.jit(lambda x: x + 1.0)
+    # `save_overload` is ours, around numba's
+    monkeypatch.setattr(type(kernel._cache), "_save_overload", lambda self, *a: saved.append(a))
+    with open(tmp_path / "saving", "ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        thread = threading.Thread(target=kernel._cache.save_overload, args=(1, 2))
+        thread.start()
+        thread.join(0.2)
+        assert thread.is_alive() and not saved
+    thread.join(30)
+    assert saved == [(1, 2)]
+
+
+def test_a_full_disk_stops_no_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, "CACHE_DIR", tmp_path)
+    monkeypatch.setattr(jit, "CAN_KEEP", True)
+    kernel = jit.jit(lambda x: x + 1.0)
+
+    def full(self, *_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(type(kernel._cache), "_save_overload", full)
+    assert kernel(1.0) == 2.0
 
 
 def test_two_versions_have_two_folders(tree, tmp_path):

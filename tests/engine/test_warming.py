@@ -1,6 +1,7 @@
 """Compilation of the kernels: one process at a time, said on the standard error, tidied up."""
 
 import os
+import queue
 import subprocess
 import sys
 import threading
@@ -67,6 +68,79 @@ def test_a_folder_that_cannot_be_written(folder, monkeypatch):
     monkeypatch.setattr(warming, "_exercise", lambda wait: compiled.append(1))
     warming.ensure_compiled(lambda text: None)
     assert compiled == [1]
+
+
+@linux
+def test_if_the_compiling_process_is_killed_another_takes_over(tmp_path):
+    go = tmp_path / "go"
+    code = f"""
+import contextlib, os, time
+from pathlib import Path
+from derail_ros.engine import warming
+
+def exercise(wait):
+    print("compiles", flush=True)
+    while not Path({str(go)!r}).exists():
+        time.sleep(0.01)
+
+warming.CACHE_DIR = Path({str(tmp_path)!r})
+warming._second_process = lambda: contextlib.nullcontext(lambda: None)
+warming._exercise = exercise
+warming.ensure_compiled(lambda text: print(text.split()[0], flush=True))
+print("ready", flush=True)
+"""
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    processes, words = [], queue.Queue()
+
+    def listen(k, process):
+        for line in process.stdout:
+            words.put((k, line.strip()))
+
+    for k in range(4):
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
+            )
+        )
+        threading.Thread(target=listen, args=(k, processes[k]), daemon=True).start()
+    try:
+        said = [words.get(timeout=60) for _ in range(5)]
+        (first,) = (k for k, word in said if word == "compiles")
+        # "compiling ..." by the one that does, "another ..." by the others
+        assert sorted(word for _, word in said) == ["another"] * 3 + ["compiles", "compiling"]
+        assert (first, "compiling") in said
+        processes[first].kill()
+        second = [words.get(timeout=60) for _ in range(2)]
+        heir = second[0][0]
+        assert second == [(heir, "compiling"), (heir, "compiles")]
+        assert heir != first
+        go.touch()
+        rest = [words.get(timeout=60) for _ in range(4)]
+        assert (heir, "compiled") in rest
+        assert sorted(k for k, word in rest if word == "ready") == sorted({0, 1, 2, 3} - {first})
+        assert [p.wait(60) for p in processes] == [-9 if k == first else 0 for k in range(4)]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+@linux
+def test_the_second_process_ends_with_the_first(tmp_path):
+    code = """
+import time
+from derail_ros.engine import warming
+warming.compile_stepping = lambda: (print("begun", flush=True), time.sleep(600))
+warming.be_second_process()
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with process:
+        assert process.stdout.readline() == b"begun\n"
+        assert process.poll() is None
+        process.stdin.close()  # as the system does for whoever is killed
+        assert process.wait(60) == 1
 
 
 def test_what_cannot_be_kept_is_said_and_compiled(folder, monkeypatch):
