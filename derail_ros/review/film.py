@@ -251,7 +251,7 @@ def film(
     Raises
     ------
     FilmError
-        If the kind of file or the time asked for cannot be.
+        If the kind of file or the time asked for cannot be, or the file cannot be written.
     ImportError
         If imageio-ffmpeg, which MP4 needs, is not installed.
     """
@@ -264,7 +264,13 @@ def film(
             yield picture
             progress(k, len(moments))
 
+    if path.is_dir():
+        raise FilmError(f"{path}: is a folder")
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
+    try:
+        temporary.touch()  # before the work, not after it
+    except OSError as error:
+        raise FilmError(f"{path}: cannot be written: {error.strerror}") from None
     try:
         (_mp4 if path.suffix.lower() == ".mp4" else _gif)(counted(), temporary, fps)
         temporary.replace(path)
@@ -286,6 +292,8 @@ def _mp4(frames: Iterator[NDArray[np.uint8]], path: Path, fps: int) -> None:
                 )
                 writer.send(None)
             writer.send(frame)
+    except OSError as error:  # with all that ffmpeg has to say, on many lines
+        raise FilmError(f"{path}: ffmpeg: {str(error).splitlines()[0]}") from None
     finally:
         if writer is not None:
             writer.close()

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
-import pyarrow.parquet as parquet
 import pytest
 from rosbags.rosbag2 import Reader
 
 from derail_ros import cli
-from derail_ros.review import comparison, figures, histories, plots, summary, words
+from derail_ros.review import comparison, figures, film, histories, plots, summary, words
 from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag
 from msg_adapters.definitions import deserialize
 
@@ -183,6 +182,8 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
                 rows = list(csv.DictReader(file))
             tables[path.stem] = {k: [r[k] for r in rows] for k in rows[0]}
         else:
+            import pyarrow.parquet as parquet  # of the extra studies
+
             tables[path.stem] = parquet.read_table(path).to_pydict()
     assert set(tables) == {
         "cars",
@@ -362,6 +363,29 @@ def test_an_mp4_has_its_pictures(bag, tmp_path) -> None:
 def test_films_that_cannot_be(bag, tmp_path, monkeypatch, capsys, arguments, text) -> None:
     monkeypatch.chdir(tmp_path)
     refuses(text, ["animate", str(bag), *arguments], capsys)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["mp4", "gif"])
+def test_films_that_cannot_be_written(bag, tmp_path, capfd, kind) -> None:
+    """One line, and before the pictures are made; nothing is left behind."""
+    (tmp_path / f"folder.{kind}").mkdir()
+    (tmp_path / "file").touch()
+    for name, text in ((f"folder.{kind}", "is a folder"), (f"file/film.{kind}", "file")):
+        before = sorted(tmp_path.rglob("*"))
+        refuses(text, ["animate", str(bag), "-o", str(tmp_path / name)], capfd)
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_what_ffmpeg_complains_of_is_one_line(run: Run, tmp_path, monkeypatch) -> None:
+    def broken(*arguments, **options):
+        yield None
+        raise OSError("[Errno 32] Broken pipe\n\nFFMPEG COMMAND:\nffmpeg ...")
+
+    monkeypatch.setattr(imageio_ffmpeg, "write_frames", broken)
+    with pytest.raises(film.FilmError) as caught:
+        film.film(run, tmp_path / "film.mp4", start=1.0, end=1.2, width=320)
+    assert str(caught.value).endswith("ffmpeg: [Errno 32] Broken pipe")
     assert not list(tmp_path.iterdir())
 
 
