@@ -146,9 +146,11 @@ def test_failed_and_void_runs_are_said():
     job = page.Job("base_30", "toma", "toma", "base_train", members=3)
     record = runs("base_train", "toma", 1, **{**SHORT, "train.speed_kmh": 20})[0]
     void = {**record, "void": True, "status": "void"}
-    ensemble = page.Ensemble(job, (record, void, failed_record("StepSizeError: x")), (), None)
+    ensemble = page.Ensemble(job, (record, void, failed_record("StepSizeError: x", 9.0)), (), None)
     assert page.with_spread(ensemble, "cars_derailed") == f"{record['cars_derailed']:.1f}"
     words = "\n".join(page._left_out([ensemble]))
+    assert words.startswith("\n- base_train, `toma`: ")
+    assert page.measure(ensemble, "wall_s", 1.0, 6) == f"{min(record['wall_s'], 9.0):.6f}"
     assert "1 of 3 failed (StepSizeError: x)" in words
     assert "1 of 3 void" in words
 
