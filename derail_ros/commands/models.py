@@ -257,8 +257,9 @@ def write_results(
         f"<sub>`derail compare-models --write -n {members}`: {members} runs each for the models "
         f"that know the push that starts the motion (it is varied by up to 4 %, seed {seed}), "
         f"{few} each for other choices of constants, one for the others; mean ± standard "
-        f"deviation of single runs. Scenes drawn are those of the scenario itself. Wall times: the "
-        f"least of these runs or of {page.REPEATS}, {at}, kernels compiled before. Engine {source_hash()[:16]}.</sub>"
+        "deviation of single runs. Scenes drawn are those of the scenario itself. Wall times: the "
+        f"least of these runs or of {page.REPEATS}, {at}, kernels compiled before. "
+        f"Engine {source_hash()[:16]}.</sub>"
     )
     if text is None:
         text = page.bare({name: f"images/{name}" for name in drawn})
