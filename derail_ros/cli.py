@@ -104,7 +104,9 @@ def simulate(
     if model != "toma" or roll:
         from derail_ros.commands import models as other
 
-        return other.run(model, scenario, settings or [], ensemble, seed, roll, as_json, output)
+        return other.run(
+            model, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
+        )
     from derail_ros.commands import simulate as command
 
     return command.run(scenario, settings or [], ensemble, seed, jobs, as_json, output)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ def run(
     settings: Sequence[str],
     ensemble: int | None,
     seed: int,
+    jobs: int | None,
     roll: bool,
     as_json: bool,
     output: Path | None,
@@ -40,7 +42,7 @@ def run(
     """Run a scenario with one of the models; the exit code."""
     from derail_ros.baselines.models import VARIED, ModelError, run_model
     from derail_ros.engine import ParameterError, SimulationError
-    from derail_ros.studies.ensemble import member_factor, vary
+    from derail_ros.studies.ensemble import Run, Stopped, run_many
     from derail_ros.studies.records import Moments, failed_record
 
     _check_model(model)
@@ -66,26 +68,38 @@ def run(
     ]
     with common.progress(*columns) as bars:
         task = bars.add_task(f"{scenario.name}, {model}", total=None, state="")
-        for member in range(members):
 
-            def show(t: float, derailed: int, member: int = member) -> None:
-                of = f"run {member + 1} of {members}: " if members > 1 else ""
-                bars.update(task, state=f"{of}{t:.1f} s, {derailed} cars derailed")
+        def show(t: float, derailed: int) -> None:
+            bars.update(task, state=f"{t:.1f} s, {derailed} cars derailed")
 
-            began = time.perf_counter()
-            try:
-                done = run_model(
-                    model, vary(params, member_factor(seed, member)), roll=roll, progress=show
+        began = time.perf_counter()
+        try:
+            first = run_model(model, params, roll=roll, progress=show)
+            outcomes.append(first.record)
+        except (ModelError, ParameterError) as error:
+            raise CommandFailure(f"{scenario.name}: {error}") from None
+        except SimulationError as error:
+            text = " ".join(str(error).split())
+            outcomes.append(failed_record(text, time.perf_counter() - began))
+
+        def another(run: Run, stop: Callable[[], bool]) -> Record:
+            def look(_t: float, _derailed: int) -> None:
+                if stop():
+                    raise Stopped
+
+            return run_model(model, run.params(), progress=look).record
+
+        others = (Run(params, member=m, seed=seed) for m in range(1, members))
+        records: dict[int, Record] = {}
+        with closing(run_many(others, jobs=jobs, task=another)) as results:
+            for result in results:
+                records[result.run.member] = (
+                    result.value
+                    if result.error is None
+                    else failed_record(result.error, result.wall_s)
                 )
-            except (ModelError, ParameterError) as error:
-                raise CommandFailure(f"{scenario.name}: {error}") from None
-            except SimulationError as error:
-                text = " ".join(str(error).split())
-                outcomes.append(failed_record(text, time.perf_counter() - began))
-                continue
-            outcomes.append(done.record)
-            if member == 0:
-                first = done
+                bars.update(task, state=f"{1 + len(records)} of {members} runs")
+        outcomes += [records[m] for m in sorted(records)]
     moments = Moments()
     for record in outcomes:
         moments.add(record)

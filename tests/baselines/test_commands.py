@@ -54,6 +54,11 @@ def test_ensembles_of_models_that_know_the_push(derail):
     assert answer.code == 0
     assert len(answer.json["outcomes"]) == 3
     assert answer.json["mean"]["cars_derailed"] > 0
+    alone = derail(
+        "simulate", "base_train", *SMALL, "--model", "yang-manos", "-n", "3", "-j", "1", "--json"
+    )
+    for a, b in zip(answer.json["outcomes"], alone.json["outcomes"], strict=True):
+        assert {**a, "wall_s": 0.0} == {**b, "wall_s": 0.0}
     refused = derail("simulate", "base_train", "--model", "bar-1", "-n", "3")
     assert refused.code == 2
     assert "no lateral force" in refused.err

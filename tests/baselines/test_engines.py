@@ -224,7 +224,7 @@ def test_stiff_springs_are_removed_without_harm():
     assert set(np.flatnonzero(np.isfinite(outcome.roll)) + 1) <= set(outcome.derailed_cars)
 
 
-@pytest.mark.parametrize("stiffness", [1e9, 3e9])
+@pytest.mark.parametrize("stiffness", [1e9, 1e10])
 def test_stiffer_springs_survive_or_stop_with_the_typed_error(stiffness):
     model = AndersonModel(params(speed=60.0, cars=20), AndersonParams(stiffness=stiffness))
     try:
