@@ -254,7 +254,7 @@ def jobs_of(plan: Plan, members: int) -> list[Job]:
             ]  # fmt: skip
     if "roorda-gracie" in plan.models:
         found += [
-            base(f"tuned_{v:g}", f"{mu:g}", "roorda-gracie", v, 1, friction=mu)
+            base(f"tuned_{v:g}", f"friction {mu:g}", "roorda-gracie", v, 1, friction=mu)
             for v in plan.tuned_speeds
             for mu in plan.frictions
         ]
@@ -536,7 +536,7 @@ def limit_table(cases: Cases, plan: Plan) -> str:
 def friction_table(cases: Cases, plan: Plan) -> str:
     """Roorda and Gracie's model over its friction."""
     rows = [
-        [f"friction {mu:g}", *(with_spread(cases[f"tuned_{v:g}"][f"{mu:g}"], "cars_derailed")
+        [f"friction {mu:g}", *(with_spread(cases[f"tuned_{v:g}"][f"friction {mu:g}"], "cars_derailed")
                                for v in plan.tuned_speeds)]
         for mu in plan.frictions
     ]  # fmt: skip
