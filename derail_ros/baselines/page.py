@@ -535,11 +535,11 @@ def limit_table(cases: Cases, plan: Plan) -> str:
 
 def friction_table(cases: Cases, plan: Plan) -> str:
     """Roorda and Gracie's model over its friction."""
-    rows = [
-        [f"friction {mu:g}", *(with_spread(cases[f"tuned_{v:g}"][f"friction {mu:g}"], "cars_derailed")
-                               for v in plan.tuned_speeds)]
-        for mu in plan.frictions
-    ]  # fmt: skip
+    rows = []
+    for mu in plan.frictions:
+        label = f"friction {mu:g}"
+        runs = [cases[f"tuned_{v:g}"][label] for v in plan.tuned_speeds]
+        rows.append([label, *(with_spread(run, "cars_derailed") for run in runs)])
     every = [e for v in plan.tuned_speeds for e in cases[f"tuned_{v:g}"].values()]
     heads = ["cars derailed", *(f"{v:g} km/h" for v in plan.tuned_speeds)]
     return "\n".join(_table(heads, rows) + _left_out(every))
