@@ -208,12 +208,10 @@ def start_up() -> list[dict[str, Any]]:
             ("of which import", 5, ["-c", first_step.rsplit("\n", 1)[0]]),
             ("`derail --help`", 5, ["-m", "derail_ros.cli", "--help"]),
         ):
-            best = 1e9
+            best, command = 1e9, [sys.executable, *arguments]
             for _ in range(repeats):
                 began = time.perf_counter()
-                subprocess.run(
-                    [sys.executable, *command], env=env, check=True, capture_output=True
-                )
+                subprocess.run(command, env=env, check=True, capture_output=True)
                 best = min(best, time.perf_counter() - began)
             rows.append({"what": what, "wall_s": best})
     return rows
