@@ -332,7 +332,7 @@ def by_speed_figure(
 ) -> Figure:
     """Cars derailed over the speed, one line a model, named at its end.
 
-    ``published`` are points (km/h, cars); ``lines`` further curves with their names.
+    ``published`` are points (km/h, cars); ``lines`` up to two further curves with their names.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -354,7 +354,11 @@ def by_speed_figure(
             ]
             if found:
                 curves.append((entry.model, found, *LINES[entry.model]))
-        curves += [(name, list(points), FAINT, (0, (1, 2)), "") for name, points in lines]
+        dashes = [(0, (1, 2)), (0, (6, 2, 1, 2))]
+        curves += [
+            (name, list(points), FAINT, dash, "")
+            for (name, points), dash in zip(lines, dashes, strict=False)
+        ]
         for name, found, colour, line, mark in curves:
             axes.plot(
                 *zip(*found, strict=True), color=colour, ls=line, marker=mark, ms=6,

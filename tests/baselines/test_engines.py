@@ -164,6 +164,25 @@ def test_most_of_the_train_derails_well_above_96_kmh_in_the_main_model_too():
         assert (theirs.mean() > 30.0) == (speed > 100.0)
 
 
+def test_above_96_kmh_more_derail_than_in_the_accidents_that_the_thesis_reached_with_late_brakes():
+    # Its model reached statistics of accidents at 24 and 48 km/h with brakes 30 and 10 s late.
+    known = [
+        counts(ensemble("base_train", "toma", speed, **{"brakes.delay_s": delay})).mean()
+        for speed, delay in ((24.0, 30.0), (48.0, 10.0))
+    ]
+    a, b = power_law([24.0, 48.0], known)
+    beyond = [
+        counts(ensemble("base_train", "yang-manos", speed)).mean() / (a * speed**b)
+        for speed in (48.0, 72.0, 96.0, 120.0, 145.0)
+    ]
+    assert beyond == sorted(beyond)
+    assert beyond[0] < 0.8
+    assert beyond[1] < 1.0
+    assert 0.9 < beyond[2] < 1.1
+    assert beyond[3] > 1.05
+    assert beyond[4] > 1.15
+
+
 def test_no_choice_that_the_source_leaves_makes_an_excess_of_this_model():
     weak = {"brakes.force_N": 25e3}
     for overrides in ({}, weak):

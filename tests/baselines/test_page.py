@@ -102,7 +102,17 @@ def test_tables_of_choices(written, cases):
     text = written.read_text(encoding="utf-8")
     row = table(text, "yang_manos_speed")["96"]
     assert row[0] == "-"
-    assert row[5:] == ["0", "1"]  # couplings parted, zig-zag
+    assert row[-2:] == ["0", "1"]  # couplings parted, zig-zag
+    late = [
+        np.mean([r["cars_derailed"] for r in runs("base_train", "toma", 2, **settings)])
+        for settings in (
+            {"train.speed_kmh": 24.0, "brakes.delay_s": 30.0},
+            {"train.speed_kmh": 48.0, "brakes.delay_s": 10.0},
+        )
+    ]
+    implied = late[1] ** 2 / late[0]  # a power law over two doublings of the speed
+    assert row[2] == f"{implied:.1f}"
+    assert row[5] == f"{100.0 * (float(row[4].split(' ')[0]) / implied - 1.0):+.0f} %"
     choices = table(text, "yang_manos_choices")
     count = {name: float(cells[0].split(" ")[0]) for name, cells in choices.items()
              if name != "cars derailed of 61"}  # fmt: skip
