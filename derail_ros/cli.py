@@ -350,8 +350,8 @@ def repair(
 
 @app.command()
 def replay(
-    manifest: Annotated[
-        str, typer.Argument(help="manifest.json of a recording, or the recording's folder.")
+    bag: Annotated[
+        str, typer.Argument(help="A recording: its folder, a file of it, or its manifest.json.")
     ],
     as_json: Json = False,
 ) -> int:
@@ -361,7 +361,7 @@ def replay(
     """
     from derail_ros.commands import replay as command
 
-    return command.run(manifest, as_json)
+    return command.run(bag, as_json)
 
 
 @app.command()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from derail_ros.commands.common import OK, note
+from derail_ros.commands.common import OK
 from derail_ros.commands.review import bag_errors, warn
 
 
@@ -15,9 +15,10 @@ def run(bag: str, output: Path | None) -> int:
     with bag_errors():
         done = repair(bag, output)
     warn(done.warnings, Path(bag))
-    if done.was_whole:
-        note(f"derail: {bag}: index and metadata were there; this is a copy")
     total = sum(done.counts.values())
+    if done.was_whole:
+        print(f"{done.path}: whole, with {total} messages: nothing to repair, nothing written")
+        return OK
     print(
         f"{done.path}: {total} messages on {len(done.counts)} topics,"
         f" {done.first * 1e-9:.2f} s to {done.last * 1e-9:.2f} s"

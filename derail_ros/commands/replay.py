@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.review import bag_errors
 
+if TYPE_CHECKING:
+    from derail_ros.recording.manifest import Manifest
+    from derail_ros.recording.replay import Told
+
 
 def run(place: str, as_json: bool) -> int:
     """Replay and compare; the exit code."""
     from derail_ros.engine import ParameterError
-    from derail_ros.recording.manifest import FILE_NAME
-    from derail_ros.recording.replay import as_plain, engine_differs, replay, told_by
+    from derail_ros.recording.replay import as_plain, engine_differs, replay
     from derail_ros.scenario import ScenarioError
 
-    path = Path(place)
-    bag = path if path.is_dir() else path.parent
-    manifest = _manifest(path / FILE_NAME if path.is_dir() else path)
-    told = None
-    recorded = _recorded(bag)
-    if recorded is not None:
-        with bag_errors():
-            told = told_by(recorded)
+    manifest, told = _found(Path(place))
     other = engine_differs(manifest)
     if other:
         note("derail: another version of the engine computed this: the bits may differ")
@@ -51,27 +46,53 @@ def run(place: str, as_json: bool) -> int:
     return OK if same else FAILED
 
 
-def _manifest(path: Path) -> Any:
-    from derail_ros.recording import Manifest
+def _found(path: Path) -> tuple[Manifest, dict[str, Told] | None]:
+    """Manifest and messages at a place: a recording as all commands take it, or a manifest.
+
+    Of a recording without the file its messages tell scenario and commands.
+    """
+    from derail_ros.recording.manifest import FILE_NAME
+    from derail_ros.recording.replay import manifest_of, needed, told_by
+    from derail_ros.review.storage import BagError, NotABagError, check_version, open_bag
+
+    if path.suffix == ".json":
+        manifest = _manifest(path)
+        try:
+            return manifest, told_by(open_bag(path.parent).messages(needed))
+        except BagError:
+            return manifest, None
+    try:
+        raw = open_bag(path)
+    except NotABagError as error:
+        if (path / FILE_NAME).is_file():
+            return _manifest(path / FILE_NAME), None
+        raise CommandFailure(str(error)) from None
+    except BagError as error:
+        raise CommandFailure(str(error)) from None
+    with bag_errors():
+        check_version(raw)
+        messages = list(raw.messages(needed))
+    beside = raw.path / FILE_NAME  # one beside a file alone may be that of another
+    if raw.path.is_dir() and beside.is_file():
+        manifest = _manifest(beside)
+    else:
+        manifest = manifest_of(messages)
+        if manifest.settings.get("gathered"):
+            note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
+    if not manifest.runs:
+        raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
+    return manifest, told_by(messages)
+
+
+def _manifest(path: Path) -> Manifest:
+    from derail_ros.recording.manifest import Manifest
 
     try:
         return Manifest.from_json(path.read_text(encoding="utf-8"))
     except OSError as error:
-        hint = "" if path.exists() else "; `derail repair` writes one for a cut-off recording"
-        raise CommandFailure(f"{path}: {error.strerror or error}{hint}") from None
-    except (ValueError, TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
+        raise CommandFailure(f"{path}: {error.strerror or error}") from None
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise CommandFailure(f"{path}: not the manifest of a recording: {error}") from None
-
-
-def _recorded(folder: Path) -> Any:
-    """The messages of the recording beside a manifest, ``None`` if there is none."""
-    from derail_ros.recording.replay import needed
-    from derail_ros.review.storage import BagError, open_bag
-
-    try:
-        return open_bag(folder).messages(needed)
-    except BagError:
-        return None
 
 
 def _line(result: Any) -> str:

@@ -16,11 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from derail_ros.recording.manifest import Manifest, RunEntry
+from derail_ros.recording.gathered import gather
+from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder
-from derail_ros.scenario import ScenarioError, loads_scenario
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
 from msg_adapters.definitions import deserialize
 from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
@@ -63,16 +61,6 @@ def message_run(topic: Topic, data: bytes) -> str:
         text = data[at + 4 : at + 3 + length]
         at += 4 + length
     return text.decode()
-
-
-def _resolved(text: str) -> dict[str, Any]:
-    """A scenario with all defaults, as plain data, from the YAML of a consist."""
-    try:
-        return loads_scenario(text).resolved()
-    except ScenarioError:
-        # Of another version: what it says is still worth keeping.
-        data = yaml.safe_load(text)
-        return data if isinstance(data, dict) else {}
 
 
 @dataclass
@@ -126,7 +114,7 @@ class _Bag:
         if topic.name in STATE_TOPICS:
             heard.stamps.append(stamp)
             self.last_stamp = max(self.last_stamp, stamp)
-        self._note(topic.name, data)
+        gather(self.manifest, topic.msgtype, data)
         if self._held is None:
             # Taking is quick, so that no publisher runs ahead; writing is done in release.
             self._queue(name, stamp, data, now)
@@ -159,56 +147,6 @@ class _Bag:
         while self._waiting and self._waiting[0][2] <= moment:
             stamp, _, _, name, data = heapq.heappop(self._waiting)
             self.recorder.write(name, stamp, data)
-
-    def _run(self, run_id: str) -> RunEntry | None:
-        return next((run for run in self.manifest.runs if run.run_id == run_id), None)
-
-    def _note(self, name: str, data: bytes) -> None:
-        """Gather what the manifest says of a run."""
-        if name == "consist":
-            message = deserialize(data, "derail_msgs/msg/Consist")
-            self.manifest.software |= {
-                "derail_ros": message.software_version,
-                "engine_hash": message.engine_hash,
-            }
-            self.manifest.runs.append(
-                RunEntry(
-                    run_id=message.run_id,
-                    scenario_name=message.scenario_name,
-                    scenario_hash=message.scenario_hash,
-                    scenario=_resolved(message.scenario_yaml),
-                    start_time=stamp_of(message),
-                )
-            )
-        elif name == "command_log":
-            message = deserialize(data, "derail_msgs/msg/CommandLog")
-            run = self._run(message.run_id)
-            if run is not None:
-                entry = {
-                    "command": message.command,
-                    "request": message.request_json,
-                    "step": int(message.step),
-                    "time": float(message.time),
-                }
-                if message.accepted:
-                    run.commands.append(entry)
-                else:
-                    run.refused.append(entry | {"reason": message.message})
-        elif name == "outcome":
-            message = deserialize(data, "derail_msgs/msg/Outcome")
-            run = self._run(message.run_id)
-            if run is not None:
-                run.status = message.status_name
-                run.time, run.steps = float(message.time), int(message.step)
-                run.outcome = {
-                    "cars_derailed": int(message.cars_derailed),
-                    "derailed_cars": message.derailed_cars.tolist(),
-                    "duration": float(message.duration),
-                    "peak_force": float(message.peak_corner_force),
-                    "peak_force_pair": [int(message.peak_car_a), int(message.peak_car_b)],
-                    "scene_length": float(message.scene_length),
-                    "scene_width": float(message.scene_width),
-                }
 
     def report(self) -> dict[str, dict[str, int]]:
         """Messages received and missed, by topic."""

@@ -120,9 +120,15 @@ class Manifest:
     @classmethod
     def from_json(cls, text: str) -> Manifest:
         """A manifest from its JSON."""
-        data = json.loads(text)
-        if data.get("format") != FORMAT or data.get("version") != VERSION:
-            raise ValueError("not a manifest that this version reads")
+        try:
+            data = json.loads(text)
+        except ValueError:
+            raise ValueError("not JSON") from None
+        form = data.get("format") if isinstance(data, dict) else None
+        if form != FORMAT:
+            raise ValueError(f"its format is {form!r}, not {FORMAT!r}")
+        if data.get("version") != VERSION:
+            raise ValueError(f"its version is {data.get('version')!r}, not {VERSION}")
         data["runs"] = [RunEntry(**run) for run in data["runs"]]
         return cls(**data)
 

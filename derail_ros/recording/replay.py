@@ -19,10 +19,12 @@ from derail_ros.engine import Command, Simulation
 from derail_ros.engine.errors import CommandError, SimulationError
 from derail_ros.engine.events import EventKind
 from derail_ros.nodes.core import BRAKE_MODES, BRAKE_SOURCES
+from derail_ros.recording.gathered import CONSIST, gathered
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.scenario import loads_scenario
 from msg_adapters.definitions import deserialize
 from msg_adapters.reports import collision_from_message, event_from_message
+from msg_adapters.topics import MANIFEST
 
 PHYSICAL = ("inject_rail_break", "trigger_emergency_brake")
 """Commands that change a run; the others begin, pace or end it."""
@@ -87,7 +89,12 @@ def told_by(messages: Iterable[tuple[Any, int, bytes]]) -> dict[str, Told]:
     """
     runs: dict[str, Told] = {}
     for channel, _, data in messages:
-        message = deserialize(data, channel.msgtype)
+        if channel.msgtype not in TELLING:
+            continue
+        try:
+            message = deserialize(data, channel.msgtype)
+        except Exception:  # whatever bytes that are no message make rosbags raise
+            continue
         told = runs.setdefault(message.run_id, Told())
         told.steps = max(told.steps, int(message.step))
         kind = channel.msgtype.rpartition("/")[2]
@@ -109,14 +116,36 @@ def told_by(messages: Iterable[tuple[Any, int, bytes]]) -> dict[str, Told]:
     return runs
 
 
+TELLING = (
+    "derail_msgs/msg/TrainEvent",
+    "derail_msgs/msg/Collision",
+    "derail_msgs/msg/CommandLog",
+    "derail_msgs/msg/Outcome",
+)
+
+
 def needed(channel: Any) -> bool:
-    """Whether :func:`told_by` wants the messages of a channel."""
-    return channel.msgtype in (
-        "derail_msgs/msg/TrainEvent",
-        "derail_msgs/msg/Collision",
-        "derail_msgs/msg/CommandLog",
-        "derail_msgs/msg/Outcome",
-    )
+    """Whether :func:`told_by` or :func:`manifest_of` wants the messages of a channel."""
+    return channel.msgtype in (*TELLING, CONSIST) or _is_manifest(channel)
+
+
+def _is_manifest(channel: Any) -> bool:
+    return bool(channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype)
+
+
+def manifest_of(messages: Iterable[tuple[Any, int, bytes]]) -> Manifest:
+    """The manifest that a recording holds, or else what its messages say instead of one.
+
+    The node ``recorder`` writes its manifest last, and ``ros2 bag record`` none.
+    """
+    kept = list(messages)
+    for channel, _, data in reversed(kept):
+        if _is_manifest(channel):
+            try:
+                return Manifest.from_json(deserialize(data, channel.msgtype).data)
+            except Exception:  # damaged, or of another version: the messages tell as well
+                continue
+    return gathered(kept)
 
 
 def engine_command(entry: Mapping[str, Any]) -> Command:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections import Counter
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from derail_ros.recording.files import add_topic, bag_writer
+from derail_ros.recording.gathered import TELLING, gathered
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
 from derail_ros.review.storage import BagError, Channel, RawBag, open_bag
 from msg_adapters.definitions import deserialize, typestore
@@ -22,11 +24,11 @@ class Repaired:
 
     Attributes
     ----------
-    path : the new recording
+    path : the new recording; the old one if there was nothing to repair
     counts : messages by topic
     first, last : their first and last time, ns
     warnings : what could not be read
-    was_whole : there was nothing to repair
+    was_whole : there was nothing to repair: nothing was written
     """
 
     path: Path
@@ -47,10 +49,11 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
     """
     from rosbags.rosbag2 import WriterError
 
-    raw = open_bag(bag)
-    was_whole = raw.intact
+    found = open_bag(bag)
     # Without index and metadata nothing that the file holds is left out.
-    raw = RawBag(raw.path, raw.storage, raw.files, raw.channels, False, raw.warnings)
+    raw = RawBag(found.path, found.storage, found.files, found.channels, False, found.warnings)
+    if found.intact and (whole := _whole(raw)) is not None:
+        return whole
     folder = raw.path if raw.path.is_dir() else raw.path.with_suffix("")
     target = folder.with_name(f"{folder.name}_repaired") if output is None else output
     if target.exists():
@@ -62,6 +65,7 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
         raise BagError(f"{target}: {error}") from None
     counts: Counter[str] = Counter()
     manifest: dict[str, Any] | None = None
+    telling: list[tuple[Channel, int, bytes]] = []
     first, last = 2**63 - 1, 0
     connections = {(c.topic, c.msgtype): _connect(writer, c) for c in raw.channels}
     try:
@@ -74,8 +78,12 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
             first, last = min(first, stamp), max(last, stamp)
             if channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype:
                 manifest = _manifest(data) or manifest
+            if channel.msgtype in TELLING:
+                telling.append((channel, stamp, data))
         if not counts:
             raise BagError(f"{raw.path}: no message in it can be read")
+        if manifest is None and (runs := gathered(telling)).runs:
+            manifest = dataclasses.asdict(runs)
         if manifest is not None:
             manifest.setdefault("settings", {})["repaired"] = True
             manifest["messages"] = dict(counts)
@@ -89,7 +97,19 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
         text = json.dumps(manifest, indent=1, allow_nan=False)
         (target / FILE_NAME).write_text(text + "\n", encoding="utf-8")
     warnings = tuple(w for w in raw.warnings if "derail repair" not in w)
-    return Repaired(target, dict(counts), first, last, warnings, was_whole)
+    return Repaired(target, dict(counts), first, last, warnings, False)
+
+
+def _whole(raw: RawBag) -> Repaired | None:
+    """The account of a recording with index and metadata, ``None`` if it is damaged inside."""
+    counts: Counter[str] = Counter()
+    first, last = 2**63 - 1, 0
+    for channel, stamp, _ in raw.messages():
+        counts[channel.topic] += 1
+        first, last = min(first, stamp), max(last, stamp)
+    if raw.warnings or not counts:
+        return None
+    return Repaired(raw.path, dict(counts), first, last, (), True)
 
 
 def _manifest(data: bytes) -> dict[str, Any] | None:

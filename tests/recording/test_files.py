@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sqlite3
 import sys
 from pathlib import Path
@@ -177,7 +178,9 @@ def test_the_file_is_sound(bag: Path, tmp_path: Path) -> None:
         database.close()
         return
     assert faults(file_of(bag)) == []
-    repaired = repair(bag, tmp_path / "again").path
+    shutil.copytree(bag, tmp_path / "cut")
+    (tmp_path / "cut" / "metadata.yaml").unlink()
+    repaired = repair(tmp_path / "cut", tmp_path / "again").path
     assert faults(file_of(repaired)) == []
 
 

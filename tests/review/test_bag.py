@@ -324,6 +324,28 @@ time.sleep(60)
         repair(tmp_path / "killed")
 
 
+def test_nothing_to_repair_and_nothing_written(bag, tmp_path, capsys) -> None:
+    from derail_ros.cli import main
+
+    shutil.copytree(bag, tmp_path / "out" / "recording")
+    for more in ([], ["-o", str(tmp_path / "new")]):
+        assert main(["repair", str(tmp_path / "out"), *more]) == 0
+        assert "nothing to repair" in capsys.readouterr().out
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["recording"]
+    assert not (tmp_path / "new").exists()
+    # Index and metadata are there, but a part of it is damaged: the rest is worth having.
+    (file,) = (tmp_path / "out" / "recording").glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = bytes(64)
+    file.write_bytes(data)
+    assert main(["repair", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert "nothing to repair" not in said.out and "damaged" in said.err
+    whole = repair(tmp_path / "out" / "recording_repaired")
+    assert whole.was_whole and 0 < sum(whole.counts.values()) < sum(repair(bag).counts.values())
+
+
 # --- several runs, several trains, long ones -------------------------------------------------
 
 
