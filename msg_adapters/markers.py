@@ -179,14 +179,14 @@ class MarkerEncoder:
     def _labels(self, derailed: NDArray[np.bool_], peak: NDArray[np.float64]) -> tuple[str, ...]:
         labels = []
         for i in range(self._n):
-            parts = [str(i + 1)]
+            lines = [str(i + 1)]
             if self._represents[i] > 1:
-                parts.append(f"({self._represents[i]} cars)")
+                lines[0] += f" ({self._represents[i]} cars)"
             if derailed[i]:
-                parts.append("derailed")
+                lines.append("off")
             if peak[i] > HARD:
-                parts.append(f"struck {peak[i] / 1e6:.0f} MN")
-            labels.append(" ".join(parts))
+                lines.append(f"{peak[i] / 1e6:.0f} MN")
+            labels.append("\n".join(lines))
         return tuple(labels)
 
     def _make(self, what: str, number: int, detail: Any) -> Any:
@@ -400,7 +400,12 @@ def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
                 number,
                 TEXT,
                 WHITE,
-                position=(bx, by, 6.0),
+                # Beside the track: above it the label would lie on the car that stands there.
+                position=(
+                    bx + BED_WIDTH * np.sin(angle[number]),
+                    by - BED_WIDTH * np.cos(angle[number]),
+                    6.0,
+                ),
                 scale=(0.0, 0.0, 2.0),
                 text=f"rail break {s:.1f} m",
             )

@@ -76,7 +76,7 @@ def test_colour_and_words_tell_the_same(moments: list) -> None:
         derailed = (sample.truck_on == 0).any(axis=1)
         for i in range(len(peak)):
             color = found["cars", i + 1].color
-            words = found["labels", i + 1].text
+            lines = found["labels", i + 1].text.split("\n")
             expected = M.ON_RAILS
             if derailed[i]:
                 expected = M.DERAILED
@@ -84,9 +84,11 @@ def test_colour_and_words_tell_the_same(moments: list) -> None:
                 expected = M.STRUCK_HARD
             np.testing.assert_allclose((color.r, color.g, color.b), expected, rtol=1e-6)
             assert color.a == 1.0
-            assert ("derailed" in words) == derailed[i]
-            assert ("struck" in words) == (peak[i] > M.HARD)
-            assert words.split()[0] == str(i + 1)
+            told = ["off"] * int(derailed[i])
+            told += [f"{peak[i] / 1e6:.0f} MN"] * int(peak[i] > M.HARD)
+            assert lines == [str(i + 1), *told]
+            # In a pile cars lie side by side: a wider label would hide those of its neighbours.
+            assert all(len(line) <= 5 for line in lines)
             seen.add(expected)
     assert len(seen) == 3
 
@@ -135,6 +137,15 @@ def test_the_track_is_drawn_with_its_breaks_and_clears_the_old_one() -> None:
     np.testing.assert_allclose(gauges, M.GAUGE)
     place = found["rail_breaks", 0].pose.position
     assert (place.x, place.y) == tuple(sim.track.point(breaks[0][0])[:2])
+    # The label lies beside the bed, across from the break, where it hides no car on the track.
+    label = found["rail_break_labels", 0]
+    x, y, heading = sim.track.point(breaks[0][0])[:3]
+    along = (label.pose.position.x - x) * np.cos(heading) + (label.pose.position.y - y) * np.sin(
+        heading
+    )
+    across = np.hypot(label.pose.position.x - x, label.pose.position.y - y)
+    assert abs(along) < 1e-6
+    assert across - 0.5 * label.scale.z > 0.5 * M.BED_WIDTH
     assert len(found["track_bed", 0].points) % 3 == 0
 
 

@@ -193,3 +193,16 @@ def test_lines_over_header_stamps_are_of_messages_with_a_header():
             package, _, message = TOPICS[line["value"][1:].partition(".")[0]].msgtype.split("/")
             text = (ROOT / package / "msg" / f"{message}.msg").read_text(encoding="utf-8")
             assert re.search(r"^std_msgs/Header +header\b", text, re.MULTILINE), message
+
+
+def test_legends_stand_beside_the_lines_and_show_their_names():
+    """As seen in Lichtblick: a floating legend lies on the lines, a narrow one cuts its names."""
+    layout = json.loads((ROOT / "config" / "derail_ros.foxglove.json").read_text("utf-8"))
+    plots = [p for name, p in layout["configById"].items() if name.startswith("Plot!")]
+    assert len(plots) == 3
+    for panel in plots:
+        assert (panel["showLegend"], panel["legendDisplay"]) == (True, "left")
+        # In pixels. Values would need more room; they are shown at the cursor.
+        longest = max(len(line["label"]) for line in panel["paths"])
+        assert panel["sidebarDimension"] >= 70 + 7 * longest
+        assert panel["showPlotValuesInLegend"] is False
