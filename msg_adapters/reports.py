@@ -180,7 +180,9 @@ def describe(event: Event) -> str:
     """One line for people."""
     car = f"car {event.cars[0]}" if event.cars else "the train"
     pair = " and ".join(str(c) for c in event.cars[:2])
-    where = f" at {event.track_coordinate:.1f} m" if math.isfinite(event.track_coordinate) else ""
+    # Adding zero takes the sign from a zero: a truck derails a hair before its break as well.
+    place = round(event.track_coordinate, 1) + 0.0
+    where = f" at {place:.1f} m" if math.isfinite(place) else ""
     speed = f", {event.speed:.1f} m/s" if math.isfinite(event.speed) else ""
     why = f" ({event.cause})" if event.cause else ""
     kind = event.kind

@@ -210,6 +210,11 @@ def test_events_survive_the_round_trip(run: Simulation) -> None:
         assert common.stamp_of(message) == CONTEXT.stamp(event.time)
 
 
+def test_a_place_at_a_hair_before_zero_has_no_sign() -> None:
+    event = Event(EventKind.TRUCK_DERAILED, 1.0, 3, cars=(2,), track_coordinate=-1e-9)
+    assert " derailed at 0.0 m" in reports.describe(event)
+
+
 def test_every_kind_of_event_has_a_number_and_a_line_of_text() -> None:
     cls = message_class("derail_msgs/msg/TrainEvent")
     numbers = {reports.kind_number(kind) for kind in EventKind}
