@@ -39,10 +39,10 @@ endif
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.11 python3.12 python3.13 python3.10 python3)
 define find_python
 for python in $(CANDIDATES); do \
-  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null; \
+  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; \
   then break; fi; python=; done; \
 if [ -z "$$python" ]; then \
-  echo "No Python 3.10 to 3.14 with the modules venv and ensurepip among: $(CANDIDATES)." >&2; \
+  echo "No Python 3.10 to 3.13 (those that are tried) with the modules venv and ensurepip among: $(CANDIDATES)." >&2; \
   echo "Install one (Debian, Ubuntu: apt-get install python3 python3-venv) or name it: make PYTHON=..." >&2; \
   exit 1; fi
 endef

@@ -45,15 +45,18 @@ class Entry:
 def compare(
     params: TrainParams,
     models: Sequence[str] = tuple(MODELS),
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str, int], None] | None = None,
 ) -> list[Entry]:
-    """Put models to work on a train; one that cannot is an entry with the reason."""
+    """Put models to work on a train; one that cannot is an entry with the reason.
+
+    ``progress`` is told the model that comes next and how many are done.
+    """
     from derail_ros.engine import DerailError
 
     entries = []
-    for name in models:
+    for done, name in enumerate(models):
         if progress is not None:
-            progress(name)
+            progress(name, done)
         try:
             entries.append(Entry(name, run_model(name, params)))
         except (ModelError, DerailError) as error:

@@ -9,6 +9,17 @@ from derail_ros.commands.common import OK, CommandFailure
 from derail_ros.commands.review import bag_errors, read
 
 
+def check_times(start: float | None, end: float | None, first: float, last: float) -> None:
+    """Refuse a stretch of time that holds nothing of a recording from ``first`` to ``last``, s."""
+    runs = f"the recording runs from {first:g} s to {last:g} s"
+    if start is not None and not start < last:
+        raise CommandFailure(f"--start: {start:g} s is not before its end: {runs}")
+    if end is not None and not end > first:
+        raise CommandFailure(f"--end: {end:g} s is not after its beginning: {runs}")
+    if start is not None and end is not None and not start < end:
+        raise CommandFailure(f"--end: {end:g} s is not after --start, {start:g} s")
+
+
 def run(
     bag: str,
     output: Path,
@@ -33,6 +44,7 @@ def run(
                 "MP4 needs imageio-ffmpeg: pip install 'derail_ros[video]'; or name a .gif"
             ) from None
     found = read(bag, chosen, namespace)
+    check_times(start, end, float(found.time[0]), float(found.time[-1]))
     with bag_errors(), common.progress() as bars:
         output.parent.mkdir(parents=True, exist_ok=True)
         task = bars.add_task(output.name, total=None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -77,16 +78,55 @@ def warm_up() -> None:
     engine_warm_up(lambda text: note(f"derail: {text}"))
 
 
+PLAIN_S = 10.0
+"""Between two lines of progress where there is no terminal, s."""
+
+
 @contextmanager
 def progress(*columns: Any) -> Iterator[Any]:
-    """A rich progress display on stderr; silent where stderr is not a terminal."""
+    """A rich progress display on stderr; where that is no terminal, a line now and then."""
     from rich.progress import Progress
 
     console = err()
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bars:
+    if not console.is_terminal:
+        yield PlainProgress()
+        return
+    with Progress(*columns, console=console, transient=True) as bars:
         yield bars
+
+
+class PlainProgress:
+    """Progress for files and pipes: a line every :data:`PLAIN_S`, none for what is quick."""
+
+    def __init__(self) -> None:
+        self._tasks: list[dict[str, Any]] = []
+        self._said = time.monotonic()
+
+    def add_task(
+        self,
+        description: str,
+        *,
+        total: float | None = None,
+        completed: float = 0,
+        state: str = "",
+    ) -> int:
+        """Begin a task; its number."""
+        self._tasks.append(
+            {"name": description, "total": total, "completed": completed, "state": state}
+        )
+        return len(self._tasks) - 1
+
+    def update(self, task: int, *, advance: float = 0, **now: Any) -> None:
+        """Take in how far a task is, and say so if nothing was said for long."""
+        it = self._tasks[task]
+        it |= {("name" if key == "description" else key): value for key, value in now.items()}
+        it["completed"] += advance
+        moment = time.monotonic()
+        if moment - self._said < PLAIN_S:
+            return
+        self._said = moment
+        count = "" if it["total"] is None else f"{it['completed']:g} of {it['total']:g}"
+        note(f"derail: {it['name']}: {', '.join(w for w in (count, it['state']) if w)}")
 
 
 def counting_columns() -> list[Any]:

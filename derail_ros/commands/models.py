@@ -116,6 +116,7 @@ def run(
         "sd": moments.sd(),
         "model": model,
         "notes": {} if first is None else first.notes,
+        "warnings": [],
     }
     if output is not None:
         _write(output, scenario, settings, report, first)
@@ -320,7 +321,16 @@ def compare_models(
         if series is None
         else [scenario.with_overrides({"train.speed_kmh": v}) for v in series]
     )
-    runs = [comparison.compare(train.to_params(), chosen) for train in trains]
+    runs = []
+    with common.progress(*common.counting_columns()) as bars:
+        task = bars.add_task(scenario.name, total=len(trains) * len(chosen))
+        for train in trains:
+            before = len(runs) * len(chosen)
+
+            def show(name: str, done: int, before: int = before) -> None:
+                bars.update(task, description=f"{scenario.name}, {name}", completed=before + done)
+
+            runs.append(comparison.compare(train.to_params(), chosen, progress=show))
     title = scenario.title
     if settings:
         title += f" ({', '.join(settings)})"
@@ -381,12 +391,13 @@ def _print_comparison(
     console = common.out()
     console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(title)}")
     table = Table(box=None, pad_edge=False)
-    table.add_column("model")
+    table.add_column("model", no_wrap=True)
+    remarks: list[tuple[str, str]] = []
     if series is None:
         for heading, *_ in comparison.MEASURES:
             table.add_column(heading, justify="right")
-        table.add_column("")
-        lines = comparison.rows(runs[0])
+        lines = [row[:-1] for row in comparison.rows(runs[0])]
+        remarks = [(row[0], row[-1]) for row in comparison.rows(runs[0]) if row[-1]]
     else:
         for v in series:
             table.add_column(f"{v:g} km/h", justify="right")
@@ -394,6 +405,8 @@ def _print_comparison(
     for line in lines:
         table.add_row(*(escape(text) for text in line))
     console.print(table)
+    for name, remark in remarks:
+        console.print(f"{name}: {escape(remark)}", soft_wrap=True)
 
 
 def joint_velocities(

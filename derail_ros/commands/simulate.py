@@ -22,7 +22,7 @@ from derail_ros.studies.ensemble import (
 from derail_ros.studies.records import Moments, Record, failed_record, flatten, outcome_record
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome, Simulation
+    from derail_ros.engine import Outcome, Simulation, TrainParams
     from derail_ros.scenario import Scenario
 
 
@@ -68,6 +68,7 @@ def run(
                     records[result.index + done] = _record(result)
                     bars.update(task, advance=1)
     outcomes = [r for r in records if r is not None]
+    warnings = [w for w in (late_break(params, outcomes[0]),) if w is not None]
     for record in outcomes:  # in order, so that the last digits do not depend on the jobs
         moments.add(record)
 
@@ -84,6 +85,7 @@ def run(
         "sd": moments.sd(),
         "model": "toma",
         "notes": {},
+        "warnings": warnings,
     }
     if output is not None:
         _write(output, scenario, settings, seed, report, simulation)
@@ -91,12 +93,35 @@ def run(
         common.print_json(report)
     else:
         _print(report, output)
+    for warning in warnings:
+        note(f"derail: warning: {warning}")
     if moments.failed:
         for i, record in enumerate(outcomes):
             if "error" in record:
                 note(f"derail: member {i} failed: {record['error']}")
                 break
     return FAILED if moments.failed == members else OK
+
+
+def late_break(params: TrainParams, record: Record) -> str | None:
+    """What to say of a run whose push was over before it could turn a car.
+
+    The rails hold a car against the push as long as its trucks are on them. That is for straight
+    track with a break ahead: on a curve cars turn by themselves.
+    """
+    forces = [f for f in params.initiation.lateral_forces if f.force != 0.0]
+    curved = any(s.curvature_start or s.curvature_end for s in params.track.segments)
+    if not forces or curved or not params.track.rail_breaks or "error" in record:
+        return None
+    end = max(f.start + f.duration for f in forces)
+    first = record["first_derailment_s"]
+    if first is None or first < end:
+        return None
+    return (
+        f"the push ends at {end:.2f} s, before the first truck leaves the rails at {first:.2f} s: "
+        "it cannot turn a car; begin it later (initiation.lateral_force_start_s) or break the "
+        "rail nearer to the train (track.rail_breaks)"
+    )
 
 
 def _columns(members: int) -> list[Any]:
@@ -238,12 +263,22 @@ def write_csv(path: Path, records: Sequence[Record]) -> None:
 # Words and tables --------------------------------------------------------------------------
 
 
+CUT_OFF = "time limit"
+"""Status of a run that its time limit ended."""
+
+NOT_AT_REST = "the run ended at its time limit, not at rest (integration.time_limit_s)"
+
+
 def sentence(outcome: Outcome) -> str:
     """An outcome in a line."""
     n = outcome.cars_derailed
     text = f"{n} car{'' if n == 1 else 's'} derailed"
     if outcome.duration == outcome.duration:  # not nan
-        text += f", at rest after {outcome.duration:.1f} s"
+        text += (
+            f", cut off at the time limit at {outcome.duration:.1f} s"
+            if outcome.status == CUT_OFF
+            else f", at rest after {outcome.duration:.1f} s"
+        )
     if outcome.peak_force_pair is not None:
         a, b = outcome.peak_force_pair
         text += (
@@ -324,7 +359,17 @@ def _print(report: Record, output: Path | None) -> None:
     else:
         console.print(_many(report))
     if output is not None:
-        console.print(f"results in {escape(str(output))}", soft_wrap=True)
+        console.print(f"results in {escape(str(output))}{_of_which(report)}", soft_wrap=True)
+
+
+def _of_which(report: Record) -> str:
+    """Which run of an ensemble was recorded and drawn."""
+    if report["members"] == 1:
+        return ""
+    return (
+        f": outcomes of all {report['members']} runs; recording and figures of member 0, the "
+        "scenario itself"
+    )
 
 
 def _table() -> Any:
@@ -340,7 +385,9 @@ def _one(record: Record) -> Any:
     if "error" in record:
         table.add_row("failed", record["error"])
         return table
-    table.add_row("status", record["status"] + (VOID if record["void"] else ""))
+    cut_off = record["status"] == CUT_OFF
+    why = VOID if record["void"] else f": {NOT_AT_REST}" if cut_off else ""
+    table.add_row("status", record["status"] + why)
     for label, key, factor, form in ROWS:
         value = record[key]
         if isinstance(value, list):
@@ -356,6 +403,8 @@ def _one(record: Record) -> Any:
         if key == "peak_force_N" and record["peak_force_pair"] is not None:
             a, b = record["peak_force_pair"]
             text += f"  (car {a} into car {b})"
+        if key == "duration_s" and cut_off:
+            text += "  (cut off)"
         table.add_row(label, text)
     if words := stopped_by(record):
         table.add_row("stopped by", words)
@@ -386,6 +435,9 @@ def _many(report: Record) -> Any:
         counts += f", {report['void']} void and left out"
     if report["failed"]:
         counts += f", {report['failed']} failed"
+    cut_off = sum(r["status"] == CUT_OFF for r in report["outcomes"])
+    if cut_off:
+        counts += f", {cut_off} ended at the time limit, not at rest"
     table.caption = counts
     table.caption_justify = "left"
     return table

@@ -56,7 +56,7 @@ def run(
     study = study.changed(ensemble=ensemble, seed=seed, points=points)
     study = study.with_overrides(dict(parse_set(text) for text in settings))
     design = make(study)
-    where = f"the cluster at {dask}" if dask else f"{jobs or default_jobs()} cores"
+    where = f"the cluster at {dask}" if dask else _cores(jobs or default_jobs())
     if check_only:
         check(design)
         print(f"{study.name}: {design.size()}; every point can be run")
@@ -87,6 +87,10 @@ def run(
             INTERRUPTED,
         ) from None
     return _answer(folder, as_json)
+
+
+def _cores(n: int) -> str:
+    return f"{n} core{'' if n == 1 else 's'}"
 
 
 def show(folder: Path, as_json: bool) -> int:

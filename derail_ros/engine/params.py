@@ -289,7 +289,7 @@ class IntegrationParams:
     max_step, min_step : s
     rest_speed, rest_yaw_rate, rest_hold : the run ends when all cars have been slower than this
         (m/s, rad/s) for that long (s) [R]
-    time_limit : end of the run at the latest, s
+    time_limit : the run ends with the first step that ends at this time or later, s
     """
 
     method: str = "row"

@@ -77,7 +77,7 @@ class Sample:
     energy: F64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Outcome:
     """What came of a run. ``nan`` and ``None`` where a quantity does not exist.
 
@@ -87,7 +87,7 @@ class Outcome:
     void : a virtual body reached a break: model more cars and run again
     status : "running", "at rest", "time limit", "void" or "failed"
     time : simulation time, s
-    duration : time to rest, s
+    duration : time to rest, s; with the status "time limit" the time at which the run was cut off
     steps, rejected_steps : accepted and rejected steps
     derailed_cars : car numbers, from 1
     peak_force : largest force at a single corner, N
@@ -96,8 +96,8 @@ class Outcome:
     peak_resultant : largest resultant between a pair, N
     car_peak_force, car_peak_time : (N,) largest single-corner force on each car, N; time, s
     car_peak_other : (N,) car number of the opposing car, 0 without
-    scene_length, scene_width, scene_area : bounding box of the derailed cars along and across
-        the track, m, m, m^2 (0 without)
+    scene_length, scene_width, scene_area : box of all corners of the derailed cars along and
+        across the track (arc length and offset), m, m, m^2 (0 without)
     max_coupler_gap, max_truck_offset : largest constraint errors over all accepted steps, m
     derail_time, derail_speed : (N,) first derailment of each car, s, m/s (nan without)
     final_pose : (N, 3) x, y, yaw
@@ -138,6 +138,16 @@ class Outcome:
     energy_initial: float
     energy: dict[str, float]
     energy_residual: float
+
+    def __repr__(self) -> str:
+        """The outcome in a line; a notebook shows this."""
+        force = f"peak force {self.peak_force * 1e-6:.2f} MN"
+        if self.peak_force_pair is not None:
+            force += " (car {} into car {})".format(*self.peak_force_pair)
+        return (
+            f"<Outcome: {self.status} at {self.time:.2f} s, {self.cars_derailed} cars derailed, "
+            f"{force}, scene {self.scene_length:.1f} m x {self.scene_width:.1f} m>"
+        )
 
     @property
     def cars_derailed(self) -> int:

@@ -109,6 +109,12 @@ _BEFORE_AFTER = {
 }
 
 
+def brake_words(mode: str, source: str) -> str:
+    """An application in words: ``conventional from both ends``."""
+    article = "" if source == "both_ends" else "the "
+    return f"{mode} from {article}{source}".replace("_", " ")
+
+
 def _all_active(state: State, work: Work) -> None:
     """Let the next evaluation look at every pair of the neighbour list."""
     count = int(state.cnt[L.N_PAIRS])
@@ -184,7 +190,7 @@ class Simulation:
                 time=trigger.time + trigger.delay,
                 step=0,
                 cars=(trigger.car,) if trigger.source == "car" else (),
-                cause=f"{trigger.mode} from the {trigger.source}".replace("_", " "),
+                cause=brake_words(trigger.mode, trigger.source),
                 before="released",
                 after="emergency",
             )
@@ -541,7 +547,7 @@ class Simulation:
                 time=self.time + delay,
                 step=self.step_count,
                 cars=(int(car),) if source == "car" else (),
-                cause=f"command: {mode} from the {source}".replace("_", " "),
+                cause=f"command: {brake_words(mode, source)}",
                 before="released",
                 after="emergency",
             )

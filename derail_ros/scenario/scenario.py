@@ -144,6 +144,9 @@ class Scenario:
         ScenarioError
             Naming the path.
         """
+        if not isinstance(overrides, Mapping):
+            reason = f"must be a mapping of dotted paths to values, is {type(overrides).__name__}"
+            raise ScenarioError(self.name, None, "overrides", reason)
         marks = {path: Mark(self.name, None) for path in overrides}
         return self._with(overrides, marks)
 
@@ -400,7 +403,9 @@ def _put(data: dict[str, Any], path: Path, value: Any, mark: Mark) -> None:
         last = n == len(path) - 1
         if isinstance(here, list):
             if not isinstance(step, int) or step >= len(here):
-                size = f"it has {len(here)} entries, numbered from 0"
+                n_here = len(here)
+                entries = "1 entry" if n_here == 1 else f"{n_here} entries"
+                size = f"it has {entries}, numbered from 0"
                 raise _bad_path(path, mark, f"no entry {step!r}: {size}")
         elif isinstance(here, dict) and isinstance(step, str):
             if not last and here.get(step) is None:

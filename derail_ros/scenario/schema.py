@@ -639,7 +639,12 @@ class Integration(Section):
         IntegrationParams, "rest_hold", "s", "for this long [R]", gt=0, le=60
     )
     time_limit_s: Number = _engine(
-        IntegrationParams, "time_limit", "s", "end of the run at the latest", gt=0, le=1e5
+        IntegrationParams,
+        "time_limit",
+        "s",
+        "the run ends with the first step that ends then or later, at rest or not",
+        gt=0,
+        le=1e5,
     )
 
 

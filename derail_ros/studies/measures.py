@@ -52,9 +52,10 @@ MEASURES: Mapping[str, Measure] = {
     "share_brakes": Measure("share of the energy taken by the brakes", digits=3),
     "share_ground": Measure("share of the energy taken by the ground", digits=3),
     "share_collisions": Measure("share of the energy taken by collisions", digits=3),
-    "severity": Measure("severity", digits=2),
+    "severity": Measure("relative severity", digits=2),
 }
-"""All measures. Severity is not in the table: it compares with the mean of the base point."""
+"""All measures. Severity is not in the table: it compares with the mean of
+the base point, not with the source's base train as :mod:`derail_ros.review.severity` does."""
 
 DEFAULT_MEASURES = ("cars_derailed", "duration_s", "peak_force_MN", "scene_area_m2")
 

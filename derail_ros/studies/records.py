@@ -35,6 +35,8 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
         "cars_derailed": int(outcome.cars_derailed),
         "derailed_cars": [int(c) for c in outcome.derailed_cars],
         "duration_s": number(outcome.duration),
+        "at_rest": outcome.status == "at rest",
+        "first_derailment_s": _first(outcome.derail_time),
         "peak_force_N": number(outcome.peak_force),
         "peak_force_pair": None if pair is None else [int(pair[0]), int(pair[1])],
         "peak_force_time_s": number(outcome.peak_force_time),
@@ -58,6 +60,11 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
         "rejected_steps": int(outcome.rejected_steps),
         "wall_s": number(wall_s, 6),
     }
+
+
+def _first(times: Iterable[float]) -> float | None:
+    """The earliest of the times that exist, s."""
+    return min((float(t) for t in times if math.isfinite(t)), default=None)
 
 
 def failed_record(error: str, wall_s: float | None = None) -> Record:

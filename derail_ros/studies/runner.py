@@ -104,7 +104,7 @@ def run_study(
     total = len(design)
     tell = None if progress is None else (lambda done: progress("check", done, total))
     identity = _identity(check(design, tell))
-    before = _prepare(folder, identity)
+    before = _prepare(folder, identity, study)
     if before is not None and before["complete"] and (folder / before["table"]["file"]).is_file():
         # the runs are those of this study; its words, measures and figures may be new
         now = _manifest(design, identity, before)
@@ -169,7 +169,30 @@ def _identity(runs: str) -> str:
     return hashlib.sha256(f"{runs} {source_hash()} {VERSION}".encode()).hexdigest()
 
 
-def _prepare(folder: Path, identity: str) -> dict[str, Any] | None:
+SIZE = ("ensemble", "points", "seed")
+"""What makes another set of runs of the same study."""
+
+RUNS = ("overrides", "design", "variation", "parameters", "columns", "cases")
+"""What the runs are."""
+
+
+def _difference(manifest: Mapping[str, Any], study: Study) -> str:
+    """What the results in a folder are of, seen from a study that they are not of."""
+    ours = study.model.model_dump(mode="json")
+    try:
+        there = type(study.model).model_validate_json(json.dumps(manifest["study"]))
+    except ValueError:
+        return "another study"
+    theirs = there.model_dump(mode="json")
+    same = manifest["scenario_hash"] == study.scenario.hash
+    sizes = [key for key in SIZE if ours[key] != theirs[key]]
+    if not sizes or not same or any(ours[key] != theirs[key] for key in RUNS):
+        return "another study"
+    words = ", ".join(f"{key} {theirs[key]} where {ours[key]} is asked for" for key in sizes)
+    return f"this study with {words}"
+
+
+def _prepare(folder: Path, identity: str, study: Study) -> dict[str, Any] | None:
     """Make the folder; the manifest of the same study, if that is in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -185,7 +208,7 @@ def _prepare(folder: Path, identity: str) -> dict[str, Any] | None:
         from derail_ros.engine.jit import source_hash
 
         ours = manifest["software"].get("engine_hash") == source_hash()
-        reason = "another study" if ours else "another version of the engine"
+        reason = _difference(manifest, study) if ours else "another version of the engine"
         raise StudyError(f"{folder}: holds results of {reason}; choose another folder")
     return manifest
 

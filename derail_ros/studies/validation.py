@@ -1,7 +1,7 @@
 r"""Comparison with the published runs.
 
-Outcomes are chaotic: a change of the lateral force by 1 % moves a peak force by tens of percent
-and a count by a car. So each published run, which is one draw, is compared with an ensemble. For
+Outcomes are chaotic: a change of the lateral force by a few percent can make other cars strike,
+or one more derail. So each published run, which is one draw, is compared with an ensemble. For
 every measure: mean, standard deviation of single runs (N - 1) and the 90 % band, the 5 % and 95 %
 quantiles of the ensemble (linear between the runs).
 
@@ -524,6 +524,28 @@ def band(s: Spread, digits: int) -> str:
     return "-" if s.low is None else f"{shown(s.low, digits)} to {shown(s.high, digits)}"
 
 
+ARGUED = (
+    'The paragraph "Goals of the validation: why one is missed" of '
+    "[decisions.md](decisions.md#engine) argues why."
+)
+
+
+def pairs_words(results: Sequence[CaseResult]) -> str:
+    """In how many cases the ensemble has the published pair of the largest force."""
+    known = [(r, r.case.published["peak_force_pair"]) for r in results
+             if r.case.published.get("peak_force_pair")]  # fmt: skip
+    found = [r.case.title for r, pair in known if "-".join(map(str, pair)) in r.pairs]
+    if not known:
+        return "No pair of cars with the largest force is published."
+    text = (
+        "The published pair of cars with the largest force is among those of the ensemble in "
+        f"{len(found)} of {len(known)} cases"
+    )
+    if found:
+        return f"{text} ({'; '.join(found)})."
+    return f"{text}: which cars strike hardest is not reproduced."
+
+
 def markdown(validation: Validation, images: str | None = None) -> str:
     """The page ``docs/validation.md``; ``images``: the folder of its figures as it writes it."""
     intro = (
@@ -558,6 +580,10 @@ def markdown(validation: Validation, images: str | None = None) -> str:
             f"| {g.text} | {g.cases} | {sign} {g.limit:g} | {shown(g.value, 2)} | "
             f"{'met' if g.met else '**missed**'} | {shown(g.scatter, 2)} |"
         )
+    missed = [g.text for g in validation.goals if not g.met]
+    if missed:
+        lines += ["", *textwrap.wrap(f"Missed: {'; '.join(missed)}. {ARGUED}", 99)]
+    lines += ["", *textwrap.wrap(pairs_words(validation.cases), 99)]
     if images is not None:
         file, _, text = FIGURES[0]
         lines += ["", f"![{text}]({images}/{file})"]

@@ -14,7 +14,7 @@ SMALL = ("--set", "train.consist.0.count=10", "--set", "train.speed_kmh=30")
 
 
 KEYS = ["scenario", "title", "hash", "seed", "members", "void", "failed", "outcomes", "mean",
-        "sd", "model", "notes"]  # fmt: skip
+        "sd", "model", "notes", "warnings"]  # fmt: skip
 
 
 @pytest.fixture

@@ -128,3 +128,32 @@ def test_interrupted(number, jobs, small):
     assert out == ""
     assert err.strip().splitlines()[-1] == "derail: interrupted"
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "words"),
+    [
+        (
+            50.0,
+            60.0,
+            "--start: 50 s is not before its end: the recording runs from 0 s to 26.72 s",
+        ),
+        (26.72, None, "--start: 26.72 s is not before its end"),
+        (None, 0.0, "--end: 0 s is not after its beginning: the recording runs from 0 s"),
+        (5.0, 4.0, "--end: 4 s is not after --start, 5 s"),
+    ],
+)
+def test_a_film_of_nothing_is_refused_in_the_words_that_were_asked(start, end, words):
+    from derail_ros.commands.animate import check_times
+    from derail_ros.commands.common import CommandFailure
+
+    with pytest.raises(CommandFailure) as info:
+        check_times(start, end, 0.0, 26.72)
+    assert words in str(info.value)
+
+
+@pytest.mark.parametrize("times", [(None, None), (26.0, 60.0), (-1.0, 0.1)])
+def test_a_film_of_something_is_not_refused(times):
+    from derail_ros.commands.animate import check_times
+
+    check_times(*times, 0.0, 26.72)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -253,3 +254,85 @@ def test_mississauga_published(derail):
     assert 20.0 < outcome["duration_s"] < 32.0
     assert outcome["max_coupler_gap_m"] < 1e-6
     assert outcome["energy_residual"] < 1e-3
+
+
+# What a first-time user meets ---------------------------------------------------------------
+
+
+@pytest.fixture
+def first(tmp_path):
+    """The first example of docs/scenarios.md, as a file."""
+    text = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    path = tmp_path / "first.yaml"
+    path.write_text(text.split("```yaml\n")[1].split("```")[0], encoding="utf-8")
+    return str(path)
+
+
+def test_the_first_example_of_the_documentation_turns_cars(derail, first):
+    answer = derail("simulate", first, "--json")
+    (outcome,) = answer.json["outcomes"]
+    text = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    words = (
+        f"gives {outcome['cars_derailed']} derailed cars, {outcome['peak_force_N'] * 1e-6:.1f} MN "
+        f"at most and a scene {outcome['scene_width_m']:.1f} m wide"
+    )
+    assert words in text
+    assert f"after {outcome['first_derailment_s']:.2f} s" in " ".join(text.split())
+    assert outcome["peak_force_N"] > 1e6 and outcome["scene_width_m"] > 15.0
+    assert answer.json["warnings"] == [] and answer.err == ""
+
+
+def test_a_push_that_ends_before_the_break_is_warned_of(derail, first):
+    answer = derail("simulate", first, "--set", "track.rail_breaks=[30]", "--json")
+    assert answer.code == 0
+    (warning,) = answer.json["warnings"]
+    assert "the push ends at 1.00 s, before the first truck leaves the rails at 1.50 s" in warning
+    assert answer.err == f"derail: warning: {warning}\n"
+    assert answer.json["outcomes"][0]["cars_derailed"] == 6
+    assert answer.json["outcomes"][0]["peak_force_N"] == 0.0
+    later = ["--set", "initiation.lateral_force_start_s=1.4"]
+    answer = derail(
+        "simulate", first, "--set", "track.rail_breaks=[30]", *later, "-n", 2, "--json"
+    )
+    assert answer.json["warnings"] == [] and answer.err == ""
+    assert answer.json["outcomes"][0]["peak_force_N"] > 1e6
+
+
+def test_shipped_scenarios_are_not_warned_of(derail):
+    for name in ("curve_derailment", "mid_train_break", "base_train"):
+        assert derail("simulate", name, "--json").json["warnings"] == [], name
+
+
+def test_a_run_that_its_time_limit_ends_says_so(derail, small, tmp_path):
+    limit = ["--set", "integration.time_limit_s=0.5"]
+    answer = derail("simulate", small, *limit, "--json")
+    assert answer.code == 0
+    (outcome,) = answer.json["outcomes"]
+    assert outcome["status"] == "time limit" and outcome["at_rest"] is False
+    # with the first step that ends then or later
+    assert 0.5 <= outcome["duration_s"] < 0.56
+    table = derail("simulate", small, *limit)
+    assert "the run ended at its time limit, not at rest" in " ".join(table.out.split())
+    assert "(cut off)" in table.out
+    several = derail("simulate", small, *limit, "-n", 3)
+    assert "3 ended at the time limit, not at rest" in " ".join(several.out.split())
+    whole = derail("simulate", small, "--json").json["outcomes"][0]
+    assert whole["at_rest"] is True
+    assert "time limit" not in derail("simulate", small).out
+
+
+def test_the_sentence_of_a_run_that_was_cut_off(small):
+    from derail_ros import simulate
+    from derail_ros.commands.simulate import sentence
+
+    outcome = simulate(small, {"integration.time_limit_s": 0.5})
+    assert "cut off at the time limit at 0.5 s" in sentence(outcome)
+    assert "at rest" not in sentence(outcome)
+    assert "at rest after" in sentence(simulate(small))
+
+
+def test_the_answer_says_which_run_of_an_ensemble_was_recorded(derail, small, tmp_path):
+    answer = derail("simulate", small, "-n", 2, "-o", tmp_path / "out")
+    assert "recording and figures of member 0" in answer.out
+    alone = derail("simulate", small, "-o", tmp_path / "alone")
+    assert "member 0" not in alone.out

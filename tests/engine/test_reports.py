@@ -427,3 +427,21 @@ def test_one_car_and_no_events():
     assert outcome.status == "at rest"
     assert outcome.cars_derailed == 0
     assert run.collisions == []
+
+
+def test_an_outcome_is_shown_in_a_line():
+    from derail_ros import simulate
+
+    outcome = simulate("base_train", {"train.speed_kmh": 30, "train.consist.0.count": 10})
+    text = repr(outcome)
+    assert "\n" not in text and len(text) < 160
+    assert f"{outcome.cars_derailed} cars derailed" in text and "at rest at" in text
+    assert "(car {} into car {})".format(*outcome.peak_force_pair) in text
+    assert str(outcome) == text
+
+
+def test_an_application_from_both_ends_in_words():
+    from derail_ros.engine.simulation import brake_words
+
+    assert brake_words("conventional", "both_ends") == "conventional from both ends"
+    assert brake_words("traction_limited", "rear") == "traction limited from the rear"

@@ -398,3 +398,15 @@ def test_conflict_between_base_and_variant_points_to_the_line_it_came_from(tmp_p
     assert error.field == "initiation.lateral_force_car"
     assert error.file.endswith("mid_train_break.yaml")
     assert "there is no modelled car 24, the last one is 4" in error.reason
+
+
+@pytest.mark.parametrize(("overrides", "kind"), [([1], "list"), ("train.speed_kmh=1", "str")])
+def test_overrides_that_are_no_mapping(overrides, kind):
+    with pytest.raises(ScenarioError) as info:
+        load_scenario("base_train").with_overrides(overrides)
+    assert f"overrides: must be a mapping of dotted paths to values, is {kind}" in str(info.value)
+
+
+def test_a_list_of_one_has_one_entry():
+    with pytest.raises(ScenarioError, match="it has 1 entry, numbered from 0"):
+        load_scenario("base_train").with_overrides({"train.consist.3.mass_kg": 1e4})

@@ -43,6 +43,7 @@ def outcome(**changes):
         "steps": 1000,
         "rejected_steps": 10,
     }
+    values["derail_time"] = [math.nan, 1.25, 0.5]
     return SimpleNamespace(**(values | changes))
 
 
@@ -115,3 +116,10 @@ def test_no_runs_at_all():
     moments = summarize([failed_record("x")])
     assert moments.mean() == {}
     assert moments.sd() == {}
+
+
+def test_the_first_derailment_and_rest():
+    record = outcome_record(outcome())
+    assert record["first_derailment_s"] == 0.5 and record["at_rest"] is True
+    nothing = outcome_record(outcome(derail_time=[math.nan] * 3, status="time limit"))
+    assert nothing["first_derailment_s"] is None and nothing["at_rest"] is False

@@ -205,7 +205,7 @@ def test_what_cannot_be_told_apart_is_said(load, folder, invented):
     assert "runs a point" in told[0].split("take about")[1]
     assert told[1].startswith("At ground 1.2, speed 10 km/h and 12 km/h")
     assert lines[0].startswith("Shares of the variance of all runs: speed")
-    severity = dict(results.findings())["Severity"]
+    severity = dict(results.findings())["Relative severity"]
     assert any("every run gives 1.00" in line for line in severity)
 
 

@@ -121,3 +121,19 @@ def test_interrupted_it_goes_on(folder):
     answer = subprocess.run(command, capture_output=True, text=True, timeout=250, env=os.environ)
     assert answer.returncode == 0, answer.stderr
     assert json.loads((place / "manifest.json").read_text())["table"]["rows"] == 80
+
+
+def test_another_size_of_the_same_study_is_told_from_another_study(derail, folder):
+    place = folder / "out"
+    assert derail("study", folder / "study.yaml", "-o", place)[0] == 0
+    code, _, err = derail("study", folder / "study.yaml", "-o", place, "-n", 3, "--seed", 9)
+    assert code == 2
+    assert "holds results of this study with ensemble 2 where 3 is asked for, seed" in err
+    setting = ("--set", "train.consist.0.count=4")
+    code, _, err = derail("study", folder / "study.yaml", "-o", place, "-n", 3, *setting)
+    assert code == 2 and "holds results of another study" in err
+
+
+def test_one_core_is_one_core(derail, folder):
+    _, _, err = derail("study", folder / "study.yaml", "-o", folder / "out", "--jobs", 1)
+    assert "on 1 core, into" in err

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,12 +14,17 @@ from derail_ros.studies.doubt import DOUBTS, doubtful_runs, draw
 from derail_ros.studies.ensemble import Result, member_factor
 from derail_ros.studies.impact import impact, words
 from derail_ros.studies.validation import (
+    ARGUED,
+    MEASURES,
     Case,
+    CaseResult,
     Published,
+    Spread,
     evaluate,
     goals,
     load_published,
     markdown,
+    pairs_words,
     spread,
     validate,
     verdict,
@@ -174,6 +180,7 @@ def fake_run(runs, jobs=None):
     for index, run in enumerate(runs):
         outcome = SimpleNamespace(
             cars_derailed=10 + run.member % 2, derailed_cars=(1,), duration=20.0 + run.member,
+            derail_time=(0.0,),
             peak_force=4e6 + 1e6 * run.member, peak_force_pair=(2, 1), peak_force_time=3.0,
             peak_resultant=5e6, cars_above_5MN=(2,), cars_above_10MN=(), scene_length=60.0,
             scene_width=25.0, scene_area=1500.0, rear_stop=-3.0, max_coupler_gap=1e-9,
@@ -321,3 +328,63 @@ def test_page(comparison):
     assert "**missed**" in page
     assert "nan" not in page
     assert max(len(line) for line in page.splitlines() if not line.startswith("|")) < 100
+
+
+def test_the_page_says_in_how_many_cases_the_published_pair_occurs():
+    def case(name, pair):
+        published = {} if pair is None else {"peak_force_pair": pair}
+        return Case(name, name.upper(), "s", published)
+
+    def result(name, pair, *pairs):
+        spreads = dict.fromkeys([m[0] for m in MEASURES], Spread(*[None] * 6))
+        return CaseResult(case(name, pair), spreads, 20, 0, 0, (), dict.fromkeys(pairs, 10))
+
+    none = [result("a", [11, 9], "8-6", "15-14"), result("b", [7, 6], "10-11"), result("c", None)]
+    words = pairs_words(none)
+    assert "in 0 of 2 cases: which cars strike hardest is not reproduced" in words
+    # struck and striking car are not the same pair
+    one = [*none, result("d", [3, 2], "5-4", "3-2"), result("e", [2, 3], "3-2")]
+    assert "in 1 of 4 cases (D)." in pairs_words(one)
+    assert "No pair" in pairs_words([result("c", None)])
+
+
+def test_the_page_says_which_goals_are_missed_and_where_that_is_argued(comparison):
+    import dataclasses
+
+    met = [dataclasses.replace(g, value=2.0 if g.at_least else -1.0) for g in comparison.goals]
+    missed = [dataclasses.replace(met[2], value=-1.0), *met[3:]]
+    missed = [*met[:2], *missed]
+    text = " ".join(markdown(dataclasses.replace(comparison, goals=tuple(missed))).split())
+    assert f"Missed: {met[2].text}. {ARGUED}" in text
+    text = markdown(dataclasses.replace(comparison, goals=tuple(met)))
+    assert "Missed" not in text and "decisions.md" not in text
+    assert " ".join(pairs_words(comparison.cases).split()) in " ".join(text.split())
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_paragraph_that_argues_is_there():
+    title = ARGUED.split('"')[1]
+    assert f"**{title}.**" in (DOCS / "decisions.md").read_text(encoding="utf-8")
+
+
+def test_the_readme_says_what_the_validation_page_says():
+    page = (DOCS / "validation.md").read_text(encoding="utf-8")
+    readme = " ".join((DOCS.parent / "README.md").read_text(encoding="utf-8").split())
+    reached = [line.split("|")[4].strip() for line in page.splitlines() if "| at " in line]
+    cars, duration, _, _, length, width = reached
+    for said in (
+        f"cars derailed to {cars} cars (rms)",
+        f"durations to {duration} s",
+        f"scene lengths to {length} and widths to {width} of themselves",
+    ):
+        assert said in readme
+    peaks = page.split("## Peak force (MN)")[1].split("## ")[0]
+    rows = [line.split("|")[2:7] for line in peaks.splitlines() if "all 74 cars" not in line]
+    rows = [row for row in rows if len(row) == 5 and row[0].strip()[:1].isdigit()]
+    near = sum(abs(float(row[0]) / float(row[1]) - 1.0) <= 0.1 for row in rows)
+    inside = sum("in the band" in row[4] for row in rows)
+    assert len(rows) == 9
+    assert f"within a tenth of the mean in {near} of 9 cases" in readme
+    assert f"in the 90 % band of {inside} of 9 ensembles" in readme
