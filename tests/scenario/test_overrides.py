@@ -215,7 +215,7 @@ def test_half_load_is_half_way():
         ("train.speed_kmh", float("nan"), "train.speed_kmh", "finite"),
         ("train.speed_kmh", -1, "train.speed_kmh", "above 0"),
         ("train.speed_kmh.x", 1, "train.speed_kmh.x", "has no field 'x'"),
-        ("train.consist.1.mass_kg", 1, "train.consist.1.mass_kg", "no entry 1: it has 1 entries"),
+        ("train.consist.1.mass_kg", 1, "train.consist.1.mass_kg", "no entry 1: it has 1 entry"),
         ("train.consist.x", 1, "train.consist.x", "no entry 'x'"),
         ("train.consist.00", 1, "train.consist.00", "no entry '00'"),
         ("train.0", 1, "train.0", "has no field 0"),
