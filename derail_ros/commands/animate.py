@@ -45,7 +45,7 @@ def run(
             ) from None
     found = read(bag, chosen, namespace)
     check_times(start, end, float(found.time[0]), float(found.time[-1]))
-    with bag_errors(), common.progress() as bars:
+    with bag_errors(), common.progress(*common.counting_columns()) as bars:
         output.parent.mkdir(parents=True, exist_ok=True)
         task = bars.add_task(output.name, total=None)
 

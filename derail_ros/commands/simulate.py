@@ -286,7 +286,7 @@ def sentence(outcome: Outcome) -> str:
             f" at {outcome.peak_force_time:.2f} s"
         )
     if n:
-        text += f"; scene {outcome.scene_length:.1f} m x {outcome.scene_width:.1f} m"
+        text += f"; scene {outcome.scene_length:.1f} m × {outcome.scene_width:.1f} m"
     return text
 
 

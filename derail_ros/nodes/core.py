@@ -6,6 +6,7 @@ through :class:`Output`. Wall time comes from a function, so tests can drive it.
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import math
 import os
@@ -40,6 +41,8 @@ MAX_COMMANDS = 10_000
 """Commands that a run takes: each is kept, for its repetition."""
 MAX_BREAKS = 1000
 """Rail breaks of a run: each is looked at in every step, and told with each new one."""
+SAME_PLACE = 1e-6
+"""Two breaks that are nearer than this are at the same place, m."""
 MAX_TEXT = 1000
 """Characters of a text of a request, a caller or a reason that are kept: a stranger chose them."""
 MAX_REFUSED = 1000
@@ -390,6 +393,9 @@ class SimulatorCore:
             prepared = prepare(scenario, speed_kmh)
         except (ScenarioError, DerailError) as error:
             raise ValueError(str(error)) from error
+        if text:
+            # Nobody gave it a name; with a blank in it, it is no scenario's that has one.
+            prepared = dataclasses.replace(prepared, name=f"{scenario.title} (inline)")
         prepared.warm(self.settings.frame_id)
         return prepared
 
@@ -466,19 +472,17 @@ class SimulatorCore:
     def inject_rail_break(self, coordinate: float, car: int, caller: str = "") -> Answer:
         """Open a break at a track coordinate (m), or just ahead of a car if one is given."""
         request = {"track_coordinate": coordinate, "car": car}
-        arguments: dict[str, Any]
-        if car:
-            arguments = {"car": int(car)}
-        elif math.isfinite(coordinate):
-            arguments = {"coordinate": float(coordinate)}
-        else:
-            return self._answer(
-                "inject_rail_break",
-                request,
-                caller,
-                False,
-                f"track_coordinate: {coordinate} is not a finite number",
+        reason = ""
+        if car and math.isfinite(coordinate) and coordinate != 0.0:
+            reason = (
+                f"track_coordinate: {coordinate:g} m and car {car} are two places: "
+                "give one of them (with a car: 0 or NaN)"
             )
+        elif not car and not math.isfinite(coordinate):
+            reason = f"track_coordinate: {coordinate} is not a finite number"
+        if reason:
+            return self._answer("inject_rail_break", request, caller, False, reason)
+        arguments = {"car": int(car)} if car else {"coordinate": float(coordinate)}
         return self._command("inject_rail_break", request, caller, arguments)
 
     def trigger_emergency_brake(
@@ -524,12 +528,15 @@ class SimulatorCore:
             reason = f"the track has {MAX_BREAKS} breaks, the most a run takes"
         if reason:
             return self._answer(name, request, caller, False, reason, time=moment)
+        broken = [float(place) for place in session.simulation.rail_breaks]
         try:
             result = session.command(name, **arguments)
         except CommandError as error:
             return self._answer(name, request, caller, False, str(error), time=moment)
         value = float(result) if isinstance(result, float) else math.nan
         done = f"rail break at {value:.3f} m" if math.isfinite(value) else "applied"
+        if any(abs(value - place) < SAME_PLACE for place in broken):
+            done += ", where the rail was broken already"
         return self._answer(name, request, caller, True, done, time=moment, value=value)
 
     def set_state(self, wanted: int, caller: str = "") -> Answer:

@@ -7,10 +7,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from derail_ros.scenario.messages import did_you_mean
 
 Value = bool | int | float | str | list[str]
 
@@ -325,7 +327,24 @@ def declare(node: Any, table: Iterable[Parameter]) -> dict[str, Value]:
             raise ValueError(f"{parameter.name}: {error}") from error
         value = _plain(declared.value)
         values[parameter.name] = parameter.default if value is None else parameter.check(value)
+    for warning in ignored(node, values):
+        node.get_logger().warning(warning)
     return values
+
+
+def ignored(node: Any, values: Mapping[str, Value]) -> Iterator[str]:
+    """What was given to a node and has no effect, in words.
+
+    A file for all nodes (``/**``) gives each of them those of the others too.
+    """
+    known = {parameter.name for table in NODES.values() for parameter in table}
+    for name in getattr(node, "_parameter_overrides", {}):
+        # Publishers and subscribers declare the overrides of their QoS when they are made.
+        if not (name in known or node.has_parameter(name) or name.startswith("qos_overrides.")):
+            yield f"{name}: no such parameter, ignored{did_you_mean(name, values)}"
+    for folder in values.get("scenario_dirs", []):  # type: ignore[union-attr]
+        if not Path(folder).is_dir():
+            yield f"scenario_dirs: there is no folder {folder}"
 
 
 def _plain(value: Any) -> Any:

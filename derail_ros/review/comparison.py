@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -36,7 +37,7 @@ MEASURES: tuple[tuple[str, str, str, float], ...] = (
     ("length_m", "scene length", "m", 1.0),
     ("width_m", "scene width", "m", 1.0),
     ("area_m2", "scene area", "m²", 1.0),
-    ("rear_stop_m", "rear part stands at", "m", 1.0),
+    ("rear_stop_m", "first car on the rails behind at", "m", 1.0),
     ("couplings_parted", "couplings parted", "", 1.0),
     ("initial_speed_m_s", "speed at the start", "m/s", 1.0),
 )
@@ -290,6 +291,16 @@ def _scenes(a: Run, b: Run) -> Figure:
         figure.text(
             left, over + 0.11 / height, scene.subtitle, size=9, color="#555555", va="center"
         )
-    figures._draw_scale(figure, height, window)
-    figures._draw_key(figure, drawn, left, (legend - 0.1) / height)
+    ways = [scene.travel for scene in drawn]
+    same = math.isclose(math.dist(*ways), 0.0, abs_tol=0.1)
+    figures._draw_scale(figure, height, window, ways[0] if same else None)
+    if not same:
+        wide = window[1] - window[0]
+        for axes, way in zip(figure.axes, ways):
+            place = (window[1] - 0.03 * wide, window[3] - 0.03 * wide)
+            figures._draw_arrow(axes, place, way, 0.02 * wide, 1.0)
+            axes.text(
+                place[0] - 0.03 * wide, place[1], figures.TRAVEL, size=8.5, va="center", ha="right"
+            )
+    figures._draw_key(figure, drawn, left, (legend - 0.1) / height, window)
     return figure

@@ -123,11 +123,11 @@ def _final_scene(scene: Scene) -> Figure:
     _draw_track(axes, scene, window, points_per_metre)
     _draw_cars(axes, scene, window, points_per_metre)
     _draw_box(axes, scene)
-    _draw_scale(figure, height, window)
+    _draw_scale(figure, height, window, scene.travel)
 
     _headline(figure, left, 1.0 - 0.3 / height, scene.title, 60)
     figure.text(left, 1.0 - 0.56 / height, scene.subtitle, size=9.5, color="#555555", va="center")
-    _draw_key(figure, [scene], left, (bottom - 0.12) / height)
+    _draw_key(figure, [scene], left, (bottom - 0.12) / height, None if strip else window)
 
     if strip:
         below = figure.add_axes(box(0.15, strip_height))
@@ -422,7 +422,9 @@ def _nice(value: float) -> float:
     return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1.0 + 1e-9))
 
 
-def _draw_scale(figure: Figure, height: float, window: Window) -> None:
+def _draw_scale(
+    figure: Figure, height: float, window: Window, travel: tuple[float, float] | None
+) -> None:
     """Scale bar and direction of travel, at the right of the title."""
     per_metre = (WIDTH - 1.0) / (window[1] - window[0])
     bar = _nice(1.7 / per_metre)
@@ -438,26 +440,61 @@ def _draw_scale(figure: Figure, height: float, window: Window) -> None:
         )
     for k, text in enumerate(("0", f"{0.5 * bar:g}", f"{bar:g} m")):
         axes.text(left + k * half, level + 0.11, text, ha="center", va="bottom", size=8)
+    if travel is not None:
+        place = (left - 0.55, level + 0.035)
+        axes.text(place[0] - 0.34, place[1], TRAVEL, size=8.5, va="center", ha="right")
+        _draw_arrow(axes, place, travel, 0.25, 1.0)
+
+
+TRAVEL = "direction of travel"
+
+
+def _draw_arrow(
+    axes: Axes, middle: tuple[float, float], travel: tuple[float, float], half: float, scale: float
+) -> None:
+    """An arrow along the track: its middle and half its length in the units of the axes."""
+    x, y = half * travel[0], half * travel[1]
     axes.annotate(
-        "direction of travel",
-        xy=(left - 0.3, level + 0.035),
-        xytext=(left - 2.0, level + 0.035),
-        size=8.5,
-        va="center",
-        ha="left",
-        arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0, "shrinkA": 3, "shrinkB": 0},
+        "",
+        xy=(middle[0] + x, middle[1] + y),
+        xytext=(middle[0] - x, middle[1] - y),
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": INK,
+            "lw": scale,
+            "mutation_scale": 10.0 * scale,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        },
+        zorder=13,
     )
 
 
-def _draw_key(figure: Figure, scenes: Sequence[Scene], left: float, top: float) -> None:
-    """Explain what is in one or several scenes; of one, how many cars of each kind."""
+def _reaches(corners: NDArray, window: Window) -> bool:
+    """Whether the box around some corners overlaps a window."""
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    return bool(x1 > window[0] and x0 < window[1] and y1 > window[2] and y0 < window[3])
+
+
+def _draw_key(
+    figure: Figure, scenes: Sequence[Scene], left: float, top: float, window: Window | None
+) -> None:
+    """Explain what is in one or several scenes; of one, how many cars of each kind.
+
+    A body for many cars is explained if it reaches into the window; without one all is shown.
+    """
     handles: list[Any] = []
     for k, (label, fill, hatch) in enumerate(STATES):
         count = sum(int(((s.represents == 1) & (_state(s) == k)).sum()) for s in scenes)
         if count:
             text = f"{label} ({count})" if len(scenes) == 1 else label
             handles.append(Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=text))
-    bodies = [int(n) for s in scenes for n in s.represents[s.represents != 1]]
+    bodies = [
+        int(n)
+        for s in scenes
+        for n, corners in zip(s.represents, s.corners())
+        if n != 1 and (window is None or _reaches(corners, window))
+    ]
     if bodies:
         text = f"one body for {sum(bodies)} cars" if len(scenes) == 1 else "one body for many cars"
         handles.append(Patch(fc=STAND_IN, ec=FAINT, ls="--", label=text))

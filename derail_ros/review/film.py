@@ -14,6 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from derail_ros.review import figures, words
 from derail_ros.review.figures import INK, STATES, STYLE, VERMILION
@@ -52,7 +53,7 @@ def times(
     low = first if start is None else max(first, start)
     high = last if end is None else min(last, end)
     if not high > low:
-        raise FilmError(f"nothing between {low:g} s and {high:g} s; it runs to {last:g} s")
+        raise FilmError(f"no time to show: the recording runs from {first:g} s to {last:g} s")
     count = (high - low) / rate * fps
     if count > MOST:
         raise FilmError(f"{count:.0f} pictures are too many: a higher rate or fewer a second")
@@ -96,6 +97,7 @@ class _Stage:
         )
         self._scale_bar(scale)
         self._key(1.0 - 0.76 * share, scale)
+        self._travel(scene.travel, scale)
         self.bodies = [
             self.axes.add_collection(
                 PolyCollection(
@@ -105,7 +107,9 @@ class _Stage:
             for _, fill, hatch in STATES
         ]
         self.noses = self.axes.add_collection(PolyCollection([], facecolors=INK, zorder=4.5))
-        size = float(np.clip(1.4 * points, 5.0, 9.0)) * scale
+        # Never smaller than can be read: where there are too many, some are left out.
+        size = max(float(np.clip(1.4 * points, 0.0, 9.0)), 7.5) * scale
+        self.room = (1.5 * size / points, 1.1 * size / points)
         self.numbers = [
             self.axes.text(
                 0.0,
@@ -117,6 +121,7 @@ class _Stage:
                 va="center_baseline",
                 zorder=10,
                 clip_on=True,
+                path_effects=[withStroke(linewidth=2.0 * scale, foreground="white")],
             )
             for i in range(run.n)
         ]
@@ -159,6 +164,22 @@ class _Stage:
             borderpad=0.0,
         )
 
+    def _travel(self, travel: tuple[float, float], scale: float) -> None:
+        """The direction of travel, in the corner over the scale bar's."""
+        wide = self.window[1] - self.window[0]
+        place = (self.window[1] - 0.04 * wide, self.window[3] - 0.035 * wide)
+        figures._draw_arrow(self.axes, place, travel, 0.022 * wide, 1.4 * scale)
+        self.axes.text(
+            place[0] - 0.032 * wide,
+            place[1],
+            figures.TRAVEL,
+            size=8.5 * scale,
+            ha="right",
+            va="center",
+            zorder=13,
+            bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
+        )
+
     def _scale_bar(self, scale: float) -> None:
         wide = self.window[1] - self.window[0]
         bar = figures._nice(0.15 * wide)
@@ -190,10 +211,14 @@ class _Stage:
         nose[:, 2] = corners[:, 1] + share * (corners[:, 2] - corners[:, 1])
         self.noses.set_verts(list(nose[real]))
         x0, x1, y0, y1 = self.window
+        shown: list[tuple[float, float]] = []
         for text, (x, y) in zip(self.numbers, scene.pose[:, :2]):
-            inside = x0 < x < x1 and y0 < y < y1
-            text.set_visible(bool(inside))
+            inside = bool(x0 < x < x1 and y0 < y < y1 and text.get_text())
+            free = all(abs(x - a) > self.room[0] or abs(y - b) > self.room[1] for a, b in shown)
+            text.set_visible(inside and free)
             text.set_position((x, y))
+            if inside and free:
+                shown.append((float(x), float(y)))
         recent = sorted(
             (
                 c
@@ -271,6 +296,7 @@ def film(
         temporary.touch()  # before the work, not after it
     except OSError as error:
         raise FilmError(f"{path}: cannot be written: {error.strerror}") from None
+    progress(0, len(moments))
     try:
         (_mp4 if path.suffix.lower() == ".mp4" else _gif)(counted(), temporary, fps)
         temporary.replace(path)

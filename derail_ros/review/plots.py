@@ -289,6 +289,11 @@ def _end(run: Run) -> float:
     return float(run.time[-1])
 
 
+def _time_axis(axes: Axes, start: float, end: float) -> None:
+    """Set the ends of a time axis, also of a run of a single moment."""
+    axes.set_xlim(start, end if end > start else start + 0.1)
+
+
 def _active(run: Run) -> list[int]:
     """Indices of the cars that derailed, parted or were struck."""
     found = {int(i) for i in np.flatnonzero(run.derailed.any(axis=0) & run.cars.real)}
@@ -379,7 +384,7 @@ def _speeds(run: Run) -> Figure:
                 label="struck above 5 MN",
             )
         )
-    axes.set_xlim(float(run.time[0]), _end(run))
+    _time_axis(axes, float(run.time[0]), _end(run))
     axes.set_ylim(0.0, float(speed.max()) * 1.05 + 0.1)
     axes.set_xlabel("time, s")
     axes.set_ylabel("speed, m/s")
@@ -472,7 +477,7 @@ def _energy(run: Run) -> Figure:
         text = f"still motion\n{words.energy(left * size)}, {share:.0f} %"
         places.insert(0, (0.5 * left, text, "#e3e6ea", ""))
     top = max(float(below.max()), initial / size) * 1.03
-    axes.set_xlim(float(time[0]), float(time[-1]))
+    _time_axis(axes, float(time[0]), float(time[-1]))
     axes.set_ylim(0.0, top)
     axes.set_xlabel("time, s")
     axes.set_ylabel(f"energy, {unit}")
@@ -624,7 +629,7 @@ def _space_time(run: Run) -> Figure:
             bbox={"boxstyle": "square,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.85},
             zorder=8,
         )
-    axes.set_xlim(float(time[0]), _end(run))
+    _time_axis(axes, float(time[0]), _end(run))
     low = min(float(s[-1].min()), float(run.line.breaks[:, 0].min(initial=np.inf)))
     bottom, top = low - 35.0, float(s.max()) + 15.0
     axes.set_ylim(bottom, top)

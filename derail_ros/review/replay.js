@@ -413,7 +413,29 @@
     pen.fillStyle = palette.ink; pen.fillRect(x0, y, x1 - x0, 4);
     pen.fillStyle = palette.bg; pen.fillRect((x0 + x1) / 2, y + 1, (x1 - x0) / 2 - 1, 2);
     label((x0 + x1) / 2, y - 11, `${bar >= 1 ? bar : bar.toFixed(2)} m`, palette.ink, 12, "600");
-    if (width > 560) label(x1 - 60, y + 17, "direction of travel ⟶", palette.subtle, 11, "400");
+    if (width <= 560) return;
+    const [ux, uy] = travel(), cx = x1 - 14, cy = y + 20, half = 12;
+    label(cx - half - 58, cy, "direction of travel", palette.subtle, 11, "400");
+    const tip = [cx + half * ux, cy - half * uy];
+    pen.strokeStyle = pen.fillStyle = palette.subtle; pen.lineWidth = 1.5;
+    pen.beginPath(); pen.moveTo(cx - half * ux, cy + half * uy); pen.lineTo(cx + 0.6 * half * ux, cy - 0.6 * half * uy); pen.stroke();
+    pen.beginPath(); pen.moveTo(...tip);
+    for (const side of [-1, 1]) pen.lineTo(tip[0] - 8 * ux - side * 4 * uy, tip[1] + 8 * uy - side * 4 * ux);
+    pen.closePath(); pen.fill();
+  }
+
+  // Along the track at the piece of it that is nearest to the middle of the view.
+  function travel() {
+    const {x, y} = data.track;
+    let best = Infinity, way = [1, 0];
+    for (let i = 0; i + 1 < x.length; i++) {
+      const dx = x[i + 1] - x[i], dy = y[i + 1] - y[i], size = Math.hypot(dx, dy);
+      if (!size) continue;
+      const share = Math.min(1, Math.max(0, ((camera.x - x[i]) * dx + (camera.y - y[i]) * dy) / (size * size)));
+      const apart = Math.hypot(x[i] + share * dx - camera.x, y[i] + share * dy - camera.y);
+      if (apart < best) { best = apart; way = [dx / size, dy / size]; }
+    }
+    return way;
   }
 
   function drawScene() {
@@ -1044,7 +1066,7 @@
   window.derailReplay = {
     get time() { return now; }, get playing() { return playing; }, get frames() { return frames; }, get view() { return view; },
     get first() { return time[0]; }, get last() { return time[T - 1]; }, get selected() { return selected + 1; },
-    get camera() { return {...camera}; },
+    get camera() { return {...camera}; }, get travel() { return travel(); },
     seek: (t) => { jump(t); refresh(); }, play: () => setPlaying(true), pause: () => setPlaying(false),
     pose: (car) => [value("x", car - 1), value("y", car - 1), value("yaw", car - 1)],
     speed: (car) => value("speed", car - 1), state: (car) => STATES[state(car - 1)], peak: (car) => peakSoFar(car - 1)[1],

@@ -96,6 +96,20 @@ class Scene:
         held[1:] |= self.coupled
         return self.derailed & ~held
 
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Direction of travel: that of the track where the derailed cars lie (or the train)."""
+        off = self.derailed & (self.represents == 1)
+        middle = self.pose[off if off.any() else slice(None), :2].mean(axis=0)
+        a, b = self.track[:-1], self.track[1:]
+        along = b - a
+        size = np.maximum((along**2).sum(axis=1), 1e-12)
+        share = np.clip(((middle - a) * along).sum(axis=1) / size, 0.0, 1.0)
+        apart = np.linalg.norm(a + share[:, None] * along - middle, axis=1)
+        k = int(np.argmin(apart))
+        x, y = along[k] / np.sqrt(size[k])
+        return float(x), float(y)
+
     def corners(self) -> F64:
         """(N, 4, 2) corners of the bodies: front left, front right, rear right, rear left, m."""
         c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])

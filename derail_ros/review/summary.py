@@ -357,7 +357,10 @@ def _outcome(run: Run) -> list[str]:
             rows.append(("severity", f"{r.severity:.2f} (the source's base train: 1)"))
     if r.rear_car:
         stop = f" at {r.rear_stop:.1f} m" if math.isfinite(r.rear_stop) else ""
-        rows.append(("rear part stands", f"from car {r.rear_car}, its front truck{stop}"))
+        # Without a parted coupling ahead of it there is no part that stands by itself.
+        parted = not run.coupled[-1][: r.rear_car - 1].all()
+        label = "rear part stands" if parted else "still on the rails"
+        rows.append((label, f"from car {r.rear_car} on, its front truck{stop}"))
     return [f"  {label:<20}{value}" for label, value in rows]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from derail_ros.engine import Simulation
 from derail_ros.nodes import core
@@ -560,6 +561,30 @@ def test_a_break_opens_at_once_and_the_track_tells(bench: Bench) -> None:
     assert entry.accepted and entry.caller == "me" and entry.step == answer.step
     assert json.loads(entry.request_json) == {"track_coordinate": 55.5, "car": 0}
     assert stamp_of(entry) == answer.stamp == bench.core.session.context.stamp(entry.time)
+
+
+def test_a_break_at_two_places_is_refused_and_a_second_one_at_a_place_is_told(
+    bench: Bench,
+) -> None:
+    bench.load(ENDLESS, paused=True)
+    refused = bench.core.inject_rail_break(5.0, 2)
+    assert not refused.success and "5 m and car 2 are two places" in refused.message
+    before = len(bench.core.session.simulation.rail_breaks)
+    assert bench.core.inject_rail_break(0.0, 2).success, "0 is a field left out"
+    first = bench.core.inject_rail_break(55.5, 0)
+    assert first.success and first.message == "rail break at 55.500 m"
+    again = bench.core.inject_rail_break(55.5, 0)
+    assert again.success and "broken already" in again.message
+    assert "already" not in bench.core.inject_rail_break(55.6, 0).message
+    assert len(bench.core.session.simulation.rail_breaks) == before + 4
+
+
+def test_a_run_from_a_text_is_called_by_its_title(bench: Bench) -> None:
+    prepared = bench.core.prepare("", SMALL)
+    answer = bench.core.load(prepared, {}, start_paused=True)
+    title = yaml.safe_load(SMALL)["title"]
+    assert bench.heard.last("consist").scenario_name == f"{title} (inline)"
+    assert f"loaded {title} (inline)" in answer.message and "<inline>" not in answer.message
 
 
 def test_a_break_under_a_car_opens_ahead_of_its_front_truck(bench: Bench) -> None:

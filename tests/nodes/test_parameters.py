@@ -16,6 +16,7 @@ from derail_ros.nodes.parameters import (
     Parameter,
     descriptor,
     generated,
+    ignored,
     parameter_table,
 )
 
@@ -48,6 +49,49 @@ def test_every_parameter_is_documented_and_its_default_allowed(node) -> None:
         assert parameter.description and f"`{parameter.name}`" in table
         if parameter.type_name in ("double", "integer"):
             assert parameter.unit and math.isfinite(parameter.low)
+
+
+class _Node:
+    """What :func:`ignored` asks of a node."""
+
+    def __init__(self, **given: str) -> None:
+        self._parameter_overrides = {name.replace("__", "."): v for name, v in given.items()}
+
+    def has_parameter(self, name: str) -> bool:
+        return name in ("topics", "use_sim_time")
+
+
+def test_what_has_no_effect_is_told(tmp_path) -> None:
+    values = {p.name: p.default for p in RECORDER}
+    node = _Node(topcis="x", topics="y", use_sim_time="z", speed_factor="of the simulator")
+    assert list(ignored(node, values)) == [
+        "topcis: no such parameter, ignored; did you mean 'topics'?"
+    ]
+    assert list(ignored(_Node(qos_overrides__a="x", nosuch="y"), values)) == [
+        "nosuch: no such parameter, ignored"
+    ]
+    folders = {"scenario_dirs": [str(tmp_path), str(tmp_path / "nope")]}
+    (said,) = ignored(_Node(), folders)
+    assert said == f"scenario_dirs: there is no folder {tmp_path / 'nope'}"
+
+
+@pytest.mark.ros
+def test_a_misspelt_parameter_is_warned_of_by_each_node(tmp_path) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("derail_msgs")
+    from tests.nodes.graph import graph
+
+    with graph(tmp_path) as made:
+        recorder = made.start("recorder", path=tmp_path / "bag", topcis="[events]")
+        simulator = made.simulator(
+            scenario="", nosuch=3, sped_factor=2.0, scenario_dirs=f"['{tmp_path}/nope']"
+        )
+        made.until(lambda: "recording 13 topics" in recorder.output, "it records", recorder)
+        assert recorder.end() == 0 and simulator.end() == 0
+    assert "topcis: no such parameter, ignored; did you mean 'topics'?" in recorder.output
+    for said in ("nosuch: no such", "did you mean 'speed_factor'", f"no folder {tmp_path}/nope"):
+        assert said in simulator.output, said
+    assert simulator.output.count("no such parameter") == 2
 
 
 def test_the_interface_asks_for_at_least_these() -> None:

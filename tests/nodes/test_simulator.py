@@ -162,6 +162,7 @@ BAD = [
     ("inject_rail_break", {"track_coordinate": math.inf}, "not a finite number"),
     ("inject_rail_break", {"track_coordinate": 1e12}, "outside the track"),
     ("inject_rail_break", {"car": 77}, "no car 77"),
+    ("inject_rail_break", {"track_coordinate": 5.0, "car": 3}, "two places"),
     ("trigger_emergency_brake", {"mode": 7}, "mode"),
     ("trigger_emergency_brake", {"source": 7}, "source"),
     ("trigger_emergency_brake", {"source": 3}, "car"),

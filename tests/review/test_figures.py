@@ -140,6 +140,15 @@ def figure():
     return figures.final_scene(pile_up())
 
 
+def test_a_body_for_many_cars_is_explained_where_it_can_be_seen():
+    for n, here in ((12, False), (9, True), (40, True)):
+        # Of 9 it is the car behind the break, of 40 it is in the strip below.
+        drawn = figures.final_scene(pile_up(n=n, represents=50))
+        strip = len(drawn.axes) == 3
+        assert ("one body for 50 cars" in texts(drawn)) == here, n
+        assert strip == (n == 40)
+
+
 def test_derailed_cars_are_numbered_and_drawn_to_scale(figure):
     main = figure.axes[0]
     shown = [t.get_text() for t in main.texts]

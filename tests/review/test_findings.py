@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -340,6 +342,73 @@ def test_a_gif_has_its_pictures(bag, tmp_path) -> None:
         assert np.abs(np.asarray(film.convert("L")).astype(int) - first).max() > 50
 
 
+def test_a_film_tells_how_far_it_is(bag, tmp_path, monkeypatch) -> None:
+    """By a bar that counts the pictures."""
+    from rich.console import Console
+
+    from derail_ros.commands import common
+
+    arguments = ["animate", str(bag), "-o", str(tmp_path / "film.gif"), "--start", "2"]
+    arguments += ["--end", "4", "--fps", "5", "--width", "320"]
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=80)
+    monkeypatch.setattr(common, "err", lambda: terminal)
+    assert cli.main(arguments) == 0
+    assert "11/11" in terminal.file.getvalue()
+
+
+@pytest.mark.parametrize("metres", [80.0, 200.0, 600.0])
+def test_numbers_in_a_film_can_be_read(run, monkeypatch, metres) -> None:
+    """At any scale of the site: none under 10 pixels at the usual width, none on another."""
+    from derail_ros.review import film
+
+    x, y = run.pose[-1, :, :2].mean(axis=0)
+    window = [x - metres / 2, x + metres / 2, y - metres / 4, y + metres / 4]
+    monkeypatch.setattr(film, "site", lambda run: window)
+    stage = film._Stage(run, 960)
+    stage.picture(float(run.time[-1]))
+    shown = [t for t in stage.numbers if t.get_visible()]
+    assert shown
+    renderer = stage.figure.canvas.get_renderer()
+    boxes = [t.get_window_extent(renderer) for t in shown]
+    assert min(t.get_size() * film.DPI / 72.0 for t in shown) >= 10.0
+    for k, box in enumerate(boxes):
+        for other in boxes[:k]:
+            assert not box.overlaps(other)
+
+
+def test_the_rear_part_is_one_only_where_the_train_parted(run) -> None:
+    behind = replace(run.result, rear_car=7, rear_stop=-12.0)
+    whole = replace(run, result=behind, coupled=np.ones_like(run.coupled))
+    assert "still on the rails" in summary.text(whole)
+    assert "rear part" not in summary.text(whole)
+    coupled = np.ones_like(run.coupled)
+    coupled[-1, 3] = False
+    assert "rear part stands" in summary.text(replace(whole, coupled=coupled))
+    coupled[-1, 3], coupled[-1, 7] = True, False  # behind that car
+    assert "rear part" not in summary.text(replace(whole, coupled=coupled))
+
+
+def test_a_run_of_one_moment_is_drawn_without_a_word(run, tmp_path) -> None:
+    from derail_ros.commands.review import write_figures
+
+    first = {
+        name: getattr(run, name)[:1]
+        for name in ("time", "pose", "velocity", "coupler", "truck_on", "coupled", "brake")
+    }
+    energy = {name: values[:1] for name, values in run.energy.items()}
+    short = replace(
+        run,
+        **first,
+        contact_force=run.contact_force[:1],
+        energy_time=run.energy_time[:1],
+        energy=energy,
+        contacts=(),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "speeds.png" in write_figures(short, tmp_path)
+
+
 def test_an_mp4_has_its_pictures(bag, tmp_path) -> None:
     path = tmp_path / "film.mp4"
     arguments = ["animate", str(bag), "-o", str(path), "--start", "2", "--end", "4"]
@@ -355,7 +424,7 @@ def test_an_mp4_has_its_pictures(bag, tmp_path) -> None:
     ("arguments", "text"),
     [
         (["-o", "film.avi"], ".mp4 or .gif"),
-        (["-o", "film.gif", "--start", "1e6"], "nothing between"),
+        (["-o", "film.gif", "--start", "1e6"], "--start: 1e+06 s is not before its end"),
         (["-o", "film.gif", "--rate", "0"], "above zero"),
         (["-o", "film.gif", "--rate", "1e-6"], "too many"),
     ],
