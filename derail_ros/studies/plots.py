@@ -420,14 +420,14 @@ def _rows(results: StudyResults) -> Drawn | None:
     n = len(labels)
     columns = min(3, len(measures))
     rows = -(-len(measures) // columns)
-    figure = _figure(0.5 + rows * (0.65 + 0.27 * n))
+    figure = _figure(0.85 + rows * (0.65 + 0.27 * n))
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for k, measure in enumerate(measures):
         axes = grid[k // columns][k % columns]
         _dress(axes)
         table = summary[summary["measure"] == measure].set_index("point")
         for point, values in statistics.point_values(results, measure).items():
-            shift = 0.16 * (((np.arange(len(values)) * 0.618) % 1.0) * 2.0 - 1.0)
+            shift = 0.34 * (((np.arange(len(values)) * 0.618) % 1.0) * 2.0 - 1.0)
             axes.plot(values, point + shift, ls="", marker=".", ms=3.5, color="#8fb9d6", zorder=2)
         known = table[table["n"] > 0]
         y = known["mean"].to_numpy(dtype=float)
@@ -448,6 +448,8 @@ def _rows(results: StudyResults) -> Drawn | None:
             axes.axvline(float(known.loc[results.base, "mean"]), color=VERMILION, lw=1.0, ls=":")
         axes.set_xlabel(MEASURES[measure].title)
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=MEASURES[measure].whole))
+        if axes.get_xlim()[0] > 0.0:  # no measure of a part as if it were the whole
+            axes.set_xlim(left=0.0)
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_yticks(range(n))
         axes.set_yticklabels(labels)
@@ -459,7 +461,16 @@ def _rows(results: StudyResults) -> Drawn | None:
     ]
     if results.base is not None:
         handles.append(Line2D([], [], color=VERMILION, ls=":", label="mean of the base"))
-    figure.legend(handles=handles, loc="outside upper left", ncol=3, frameon=False, fontsize=9.5)
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncol=3,
+        frameon=False,
+        fontsize=9.5,
+        title=results.manifest["title"].replace("$", r"\$"),
+        title_fontproperties={"size": 13, "weight": "bold"},
+        alignment="left",
+    )
     first = summary[summary["measure"] == measures[0]].sort_values("mean")
     said = "; ".join(
         f"{labels[int(r['point'])]}: {shown(measures[0], r['mean'])}"

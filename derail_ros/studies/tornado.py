@@ -34,6 +34,12 @@ LOOKS: dict[int, tuple[str, str, str]] = {
 }
 """Marker, colour and words by the side of a change."""
 
+LINSCALE = 1.0
+"""Length of half of an axis' linear part, in decades of its logarithmic one."""
+
+PANEL, LETTER, GAP = 1.6, 0.065, 0.05
+"""Least width of a panel, width of a letter of a number on its axis, least gap, inches."""
+
 LINEAR = {"cars_derailed": 1.0, "duration": 1.0, "peak_force": 20.0}
 """Size up to which an axis is linear, beyond it logarithmic; 20 for what is not named."""
 
@@ -81,7 +87,7 @@ def _label(constant: Constant, effects: Sequence[Effect]) -> str:
 
 def _tornado(study: Sensitivity) -> Figure:
     rows = _rows(study)
-    row, top, bottom = 0.25, 1.0, 0.6
+    row, top, bottom = 0.27, 1.0, 0.75
     height = top + bottom + row * max(len(rows), 1)
     width, left, names, gap = 15.0, 0.25, 5.15, 0.14
     figure = Figure(figsize=(width, height), facecolor="white")
@@ -124,6 +130,15 @@ def _tornado(study: Sensitivity) -> Figure:
         size=14,
         weight="bold",
         va="center",
+    )
+    figure.text(
+        1.0 - 0.25 / width,
+        0.1 / height,
+        "Scales are linear up to the first number on either side of zero and logarithmic beyond",
+        size=8.5,
+        color="#555555",
+        va="center",
+        ha="right",
     )
     figure.text(
         left / width,
@@ -171,7 +186,7 @@ def _panel(
     axes.set_ylim(-len(rows) + 0.5, 0.5)
     axes.set_yticks([])
     linear = LINEAR.get(measure.name, 20.0)
-    axes.set_xscale("symlog", linthresh=linear, linscale=1.5)
+    axes.set_xscale("symlog", linthresh=linear, linscale=LINSCALE)
     reach = linear
     if floor > 0.0:
         low, high = (
@@ -230,8 +245,8 @@ def _panel(
             )
     axes.axvline(0.0, color=INK, lw=0.9, zorder=3)
     axes.set_xlim(-1.15 * reach, 1.15 * reach)
-    ticks = _ticks(linear, 1.15 * reach)
-    axes.set_xticks(ticks, [f"{t:+g}" if t else "0" for t in ticks], size=7.5)
+    places = ticks(linear, 1.15 * reach)
+    axes.set_xticks(places, [f"{t:+g}" if t else "0" for t in places], size=7.5)
     axes.set_xticks([], minor=True)
     axes.tick_params(length=3, color="#c8c8c8")
     axes.set_xlabel(f"{measure.label} ({measure.unit})")
@@ -239,10 +254,22 @@ def _panel(
         axes.spines[side].set_visible(False)
 
 
-def _ticks(linear: float, reach: float) -> list[float]:
-    """Zero, the linear part's ends and round numbers beyond."""
+def ticks(linear: float, reach: float) -> list[float]:
+    """Zero, the linear part's ends, and those round numbers beyond whose labels have room."""
+    inches = 0.5 * PANEL / _place(reach, linear)
     sizes = [linear]
     for factor in (3.0, 10.0, 30.0, 100.0):
-        if linear * factor <= reach:
-            sizes.append(linear * factor)
+        size = linear * factor
+        if size > reach:
+            break
+        apart = inches * (_place(size, linear) - _place(sizes[-1], linear))
+        letters = 0.5 * (len(f"{size:+g}") + len(f"{sizes[-1]:+g}"))
+        if apart >= LETTER * letters + GAP:
+            sizes.append(size)
     return [*(-s for s in reversed(sizes)), 0.0, *sizes]
+
+
+def _place(size: float, linear: float) -> float:
+    """Where a size lies on matplotlib's symlog axis, in decades from its zero."""
+    straight = LINSCALE / 0.9
+    return straight * size / linear if size <= linear else straight + math.log10(size / linear)

@@ -35,6 +35,7 @@ def outcome(**changes):
         "steps": 5,
         "rejected_steps": 0,
     }
+    values["derail_time"] = (0.0,)
     return SimpleNamespace(**(values | changes))
 
 

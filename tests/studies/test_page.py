@@ -172,3 +172,24 @@ def test_a_browser_shows_it_without_complaint(report):
     )
     assert (path.parent / "shot.png").stat().st_size > 20_000
     assert "CONSOLE" not in answer.stderr
+
+
+def test_settings_side_by_side_have_a_title_and_begin_at_zero(load, folder, invented):
+    from derail_ros.studies import plots
+
+    def some(point, member):
+        return {"cars_derailed": 12 + point, "duration_s": 20.0 + 0.1 * member}
+
+    text = STUDIES["cases"].replace(EVIL, "Costs $5 or $6").split("figures:")[0]
+    place = run_study(load(text), folder / "out", run=invented(some))
+    (drawn,) = [d for d in plots.draw(StudyResults(place)) if d.name == "settings"]
+    (legend,) = drawn.figure.legends
+    assert legend.get_title().get_text() == r"Costs \$5 or \$6"
+    drawn.figure.canvas.draw()
+    for axes in drawn.figure.axes:
+        assert axes.get_xlim()[0] <= 0.0
+        # where all runs agree they stand out above and below the mean's diamond
+        dots = [line for line in axes.lines if line.get_marker() == "." and len(line.get_ydata())]
+        for line in dots:
+            y = line.get_ydata()
+            assert max(abs(y - round(y.mean()))) > 0.25

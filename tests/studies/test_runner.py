@@ -171,8 +171,10 @@ def test_csv_and_parquet_hold_the_same(load, folder, invented):
 def test_another_study_is_not_mixed_in(load, folder, invented):
     runner = invented(lambda p, m: {})
     place = run_study(load(), folder / "out", run=runner)
-    with pytest.raises(StudyError, match="another study"):
+    with pytest.raises(StudyError, match="this study with seed 0 where 5 is asked for"):
         run_study(load().changed(seed=5), place, run=runner)
+    with pytest.raises(StudyError, match="another study"):
+        run_study(load().with_overrides({"train.speed_kmh": 11}), place, run=runner)
     other = folder / "other"
     other.mkdir()
     (other / "notes.txt").write_text("mine")

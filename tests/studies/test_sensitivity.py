@@ -1,5 +1,6 @@
 """The sensitivity study: what is changed, paired differences, words and figure."""
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -260,3 +261,30 @@ def test_changes_apply_to_the_parameters_alone():
     change = Change("x", 0, edit=lambda p: replace(p, cars=p.cars[:1]))
     assert len(change.params(BASE).cars) == 1
     assert len(BASE.to_params().cars) == 60
+
+
+@pytest.mark.parametrize("linear", [1.0, 20.0])
+@pytest.mark.parametrize("reach", [1.15, 3.5, 11.5, 40.0, 70.0, 250.0, 2500.0])
+def test_numbers_on_the_axes_of_the_figure_do_not_run_into_each_other(linear, reach):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from derail_ros.studies import tornado as t
+
+    places = t.ticks(linear, reach)
+    assert places[len(places) // 2] == 0.0 and linear in places and -linear in places
+    figure = Figure(figsize=(t.PANEL / 0.8, 2.0))
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.1, 0.3, 0.8, 0.5))
+    axes.set_xscale("symlog", linthresh=linear, linscale=t.LINSCALE)
+    axes.set_xlim(-max(reach, linear), max(reach, linear))
+    axes.set_xticks(places, [f"{p:+g}" if p else "0" for p in places], size=7.5)
+    figure.canvas.draw()
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+    for a, b in itertools.pairwise(boxes):
+        assert b.x0 - a.x1 > 1.0
+
+
+def test_the_figure_says_its_scale(study):
+    texts = " ".join(t.get_text() for t in tornado(study).texts)
+    assert "linear up to the first number on either side of zero and logarithmic beyond" in texts
