@@ -219,6 +219,9 @@ def replay_run(entry: RunEntry, told: Told | None = None) -> Replayed:
             differences.append("the final state is another one")
     if told is not None:
         differences += _compare(simulation, told)
+        if differences and (unknown := _asked(told) - len(commands)) > 0:
+            plural = "" if unknown == 1 else "s"
+            differences.append(f"{unknown} command{plural} known from events only, not in the log")
     return Replayed(
         run_id=entry.run_id,
         scenario=entry.scenario_name,
@@ -231,6 +234,12 @@ def replay_run(entry: RunEntry, told: Told | None = None) -> Replayed:
         contacts=None if told is None else len(told.contacts),
         differences=tuple(differences),
     )
+
+
+def _asked(told: Told) -> int:
+    """Number of a client's commands that the events tell of."""
+    kinds = (EventKind.RAIL_BREAK_SET, EventKind.BRAKES_TRIGGERED)
+    return sum(e.kind in kinds and e.cause.startswith("command") for e in told.events)
 
 
 def _compare(simulation: Simulation, told: Told) -> list[str]:
