@@ -294,13 +294,13 @@ def _scenes(a: Run, b: Run) -> Figure:
     ways = [scene.travel for scene in drawn]
     same = math.isclose(math.dist(*ways), 0.0, abs_tol=0.1)
     figures._draw_scale(figure, height, window, ways[0] if same else None)
-    if not same:
-        wide = window[1] - window[0]
-        for axes, way in zip(figure.axes, ways):
-            place = (window[1] - 0.03 * wide, window[3] - 0.03 * wide)
-            figures._draw_arrow(axes, place, way, 0.02 * wide, 1.0)
-            axes.text(
-                place[0] - 0.03 * wide, place[1], figures.TRAVEL, size=8.5, va="center", ha="right"
-            )
+    if not same:  # each its own, over the picture and clear of the cars
+        page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        page.set_axis_off()
+        page.set_xlim(0.0, WIDTH)
+        page.set_ylim(0.0, height)
+        for k, way in enumerate(ways):
+            level = height - top - k * (tall + head) - 0.5 * head
+            figures._draw_travel(page, (WIDTH - 0.85, level), way)
     figures._draw_key(figure, drawn, left, (legend - 0.1) / height, window)
     return figure

@@ -441,12 +441,16 @@ def _draw_scale(
     for k, text in enumerate(("0", f"{0.5 * bar:g}", f"{bar:g} m")):
         axes.text(left + k * half, level + 0.11, text, ha="center", va="bottom", size=8)
     if travel is not None:
-        place = (left - 0.55, level + 0.035)
-        axes.text(place[0] - 0.34, place[1], TRAVEL, size=8.5, va="center", ha="right")
-        _draw_arrow(axes, place, travel, 0.25, 1.0)
+        _draw_travel(axes, (left - 0.55, level + 0.035), travel)
 
 
 TRAVEL = "direction of travel"
+
+
+def _draw_travel(axes: Axes, middle: tuple[float, float], travel: tuple[float, float]) -> None:
+    """The arrow and before it what it says, on axes in inches."""
+    axes.text(middle[0] - 0.34, middle[1], TRAVEL, size=8.5, va="center", ha="right")
+    _draw_arrow(axes, middle, travel, 0.25, 1.0)
 
 
 def _draw_arrow(
