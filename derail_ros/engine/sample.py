@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,8 +145,9 @@ class Outcome:
         force = f"peak force {self.peak_force * 1e-6:.2f} MN"
         if self.peak_force_pair is not None:
             force += " (car {} into car {})".format(*self.peak_force_pair)
+        at = self.time if math.isnan(self.duration) else self.duration
         return (
-            f"<Outcome: {self.status} at {self.time:.2f} s, {self.cars_derailed} cars derailed, "
+            f"<Outcome: {self.status} at {at:.2f} s, {self.cars_derailed} cars derailed, "
             f"{force}, scene {self.scene_length:.1f} m x {self.scene_width:.1f} m>"
         )
 

@@ -149,3 +149,13 @@ def test_joint_velocities(derail):
     assert "tail" in derail("joint-velocities", "--cars", "3").out
     assert derail("joint-velocities", "--cars", "0").code == 2
     assert derail("joint-velocities", "--length", "-1").code == 2
+
+
+def test_reasons_stand_below_the_table(derail):
+    answer = derail("compare-models", "curve_derailment", "--model", "yang-manos",
+                    "--model", "bar-2-corrected", "--model", "blockage")  # fmt: skip
+    assert answer.code == 0
+    lines = answer.out.splitlines()
+    assert lines[-1] == "yang-manos: the model of Yang and Manos knows straight track only"
+    assert "straight track" not in "".join(lines[:-1])
+    assert any(line.startswith("bar-2-corrected ") for line in lines)

@@ -435,7 +435,10 @@ def test_an_outcome_is_shown_in_a_line():
     outcome = simulate("base_train", {"train.consist.0.count": 20})
     text = repr(outcome)
     assert "\n" not in text and len(text) < 160
-    assert f"{outcome.cars_derailed} cars derailed" in text and "at rest at" in text
+    assert (
+        f"{outcome.cars_derailed} cars derailed" in text
+        and f"at rest at {outcome.duration:.2f} s" in text
+    )
     assert "(car {} into car {})".format(*outcome.peak_force_pair) in text
     assert str(outcome) == text
 
@@ -445,3 +448,15 @@ def test_an_application_from_both_ends_in_words():
 
     assert brake_words("conventional", "both_ends") == "conventional from both ends"
     assert brake_words("traction_limited", "rear") == "traction limited from the rear"
+
+
+def test_applications_are_told_in_these_words():
+    from derail_ros.engine import Simulation
+    from derail_ros.scenario import load_scenario
+
+    scenario = load_scenario("base_train").with_overrides({"brakes.signal_source": "both_ends"})
+    run = Simulation(scenario.to_params())
+    run.trigger_emergency_brake("conventional", "both_ends", 1, 0.0)
+    run.advance_to(0.2)
+    causes = [str(e.cause) for e in run.events if "from" in str(e.cause)]
+    assert causes == ["conventional from both ends", "command: conventional from both ends"]

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -137,3 +138,16 @@ def test_another_size_of_the_same_study_is_told_from_another_study(derail, folde
 def test_one_core_is_one_core(derail, folder):
     _, _, err = derail("study", folder / "study.yaml", "-o", folder / "out", "--jobs", 1)
     assert "on 1 core, into" in err
+
+
+def test_the_documented_example_and_its_documented_mistake(derail, tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "studies.md").read_text(encoding="utf-8")
+    example = text.split("```yaml\n")[1].split("```")[0]
+    path = tmp_path / "my_study.yaml"
+    path.write_text(example, encoding="utf-8")
+    code, out, _ = derail("study", path, "--check")
+    assert code == 0 and "9 points x 20 runs = 180 runs" in out
+    path.write_text(example.replace("[24, 32, 40]", "[24, 32, 600]"), encoding="utf-8")
+    code, _, err = derail("study", path, "--check")
+    assert code == 2
+    assert err.split("my_study.yaml:")[1].strip() in text
