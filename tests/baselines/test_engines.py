@@ -354,7 +354,8 @@ UNKNOWN = {
     "yang-manos": {"peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
                    "cars_above_5MN", "cars_above_10MN", "severity"},
 }  # fmt: skip
-UNKNOWN["anderson"] = UNKNOWN["yang-manos"] | {"max_coupler_gap_m", "max_truck_offset_m"}
+UNKNOWN["anderson"] = UNKNOWN["yang-manos"] | {"max_coupler_gap_m", "max_truck_offset_m",
+                                               "first_derailment_s"}  # fmt: skip
 UNKNOWN["roorda-gracie"] = UNKNOWN["anderson"] | {"energy_residual"}
 LINE = UNKNOWN["roorda-gracie"] | {"scene_length_m", "scene_width_m", "scene_area_m2",
                                    "rear_stop_m", "steps", "rejected_steps"}  # fmt: skip
