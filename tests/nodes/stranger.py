@@ -9,6 +9,7 @@ import json
 import math
 import random
 import sys
+import time
 from typing import Any
 
 import rclpy
@@ -49,6 +50,8 @@ YAMLS = [
 ]
 HUGE = "x: " + "y" * (2 * 1024 * 1024)
 """Megabytes, sent now and then only: they are mostly transport."""
+PATIENCE = 20.0
+"""So long a client waits for its service before it is made anew, s."""
 PARAMETERS: list[tuple[str, Any]] = [
     ("speed_factor", math.nan),
     ("speed_factor", -1.0),
@@ -124,18 +127,32 @@ def main() -> None:
     # Each answer goes to all clients of a service, and with the usual depth of 10 one that gets no
     # processor time while others get ten answers loses its own.
     deep = service_qos()
-    clients = {
-        name: node.create_client(kind, f"/simulator/{name}", qos_profile=deep)
-        for name, kind in SERVICES.items()
-    }
-    setter = node.create_client(SetParameters, "/simulator/set_parameters")
+    kinds = {f"/simulator/{name}": kind for name, kind in SERVICES.items()}
+    kinds["/simulator/set_parameters"] = SetParameters
+
+    def make(name: str) -> Any:
+        return node.create_client(kinds[name], name, qos_profile=deep)
+
+    clients = {name: make(name) for name in kinds}
     # The same name with another type, which needs a context of its own: nobody may answer it.
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     double = rclpy.create_node(f"double_{seed}", context=context)
     reset = SERVICES["reset_simulation"]
     other = double.create_client(reset, "/simulator/inject_rail_break")
-    while not stop.asked and not all(c.service_is_ready() for c in (*clients.values(), setter)):
+    # On a machine that is far behind, Fast DDS now and then never brings a client and a service
+    # together that everybody else sees. A client made anew finds it.
+    patience = time.monotonic() + PATIENCE
+    while absent := [name for name, c in clients.items() if not c.service_is_ready()]:
+        if stop.asked:
+            print(f"never there: {', '.join(absent)}; nodes seen: {node.get_node_names()}")
+            break
+        if time.monotonic() > patience:
+            print(f"made anew: {', '.join(absent)}", flush=True)
+            for name in absent:
+                node.destroy_client(clients[name])
+                clients[name] = make(name)
+            patience = time.monotonic() + PATIENCE
         executor.spin_once(timeout_sec=0.1)
     answered, refused, accepted, wrong = 0, 0, [], []
     for _ in range(calls):
@@ -145,7 +162,9 @@ def main() -> None:
         if share < 0.1:
             name, value = dice.choice(PARAMETERS)
             message = Parameter(name, value=value).to_parameter_msg()
-            future = setter.call_async(SetParameters.Request(parameters=[message]))
+            future = clients["/simulator/set_parameters"].call_async(
+                SetParameters.Request(parameters=[message])
+            )
             executor.spin_until_future_complete(future, timeout_sec=60.0)
             answered += future.done()
             continue
@@ -156,7 +175,7 @@ def main() -> None:
             request.caller = dice.choice(TEXTS)
         if dice.random() < 0.01:
             other.call_async(reset.Request())
-        future = clients[service].call_async(request)
+        future = clients[f"/simulator/{service}"].call_async(request)
         executor.spin_until_future_complete(future, timeout_sec=60.0)
         if not future.done():
             print(f"no answer: {service} {fields!r:.200}")
