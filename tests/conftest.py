@@ -1,8 +1,14 @@
-"""What the end of a test run says."""
+"""What the end of a test run says, and signals for the processes that tests start."""
 
 from __future__ import annotations
 
+import signal
 from typing import Any
+
+# A shell makes what it runs in the background ignore Ctrl-C, and so would every process that the
+# tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 UNCHECKED = "NOT CHECKED: "
 """Beginning of the reason for skipping a test that needs what is not installed here."""
