@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from derail_ros.nodes.domain import free_domain
+
 SCENARIO = "mississauga"
 SPEED_FACTOR = 3.0
 LATEST = 8
@@ -53,11 +55,10 @@ class Heard:
     events: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=LATEST))
 
 
-def environment() -> dict[str, str]:
+def environment(domain: int) -> dict[str, str]:
     """Environment of a graph of its own, on this machine only."""
-    # Domains up to 101 keep clear of the ports that the system gives out.
     return os.environ | {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 101),
+        "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONUNBUFFERED": "1",
     }
@@ -289,8 +290,8 @@ def watch(
         live.update(picture(heard, began))
 
 
-def run(scenario: str, speed_factor: float, output: Path | None) -> int:
-    """Run the demonstration; returns the exit code."""
+def run(scenario: str, speed_factor: float, output: Path | None, domain: int) -> int:
+    """Run the demonstration in a ROS domain; returns the exit code."""
     from rich.console import Console
 
     console = Console()
@@ -299,7 +300,7 @@ def run(scenario: str, speed_factor: float, output: Path | None) -> int:
     folder = (output or Path("runs") / f"{scenario}_{stamp}").resolve()
     folder.mkdir(parents=True, exist_ok=False)
     bag = folder / "bag"
-    env = environment()
+    env = environment(domain)
     heard = Heard()
     recorder_log, simulator_log = folder / "recorder.log", folder / "simulator.log"
     recorder = start(
@@ -360,7 +361,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError:
         print("The demonstration needs ROS 2 (rclpy). Without it: derail simulate mississauga")
         return 1
-    return run(arguments.scenario, arguments.speed_factor, arguments.output)
+    with free_domain(os.getpid()) as domain:
+        return run(arguments.scenario, arguments.speed_factor, arguments.output, domain)
 
 
 if __name__ == "__main__":

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import rclpy
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
@@ -22,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from derail_msgs import srv
+from derail_ros.nodes.domain import free_domain
 from msg_adapters.topics import STATE_TOPICS, TOPICS, rclpy_class, rclpy_qos
 
 LIMIT = 120.0
@@ -106,8 +105,10 @@ class Graph:
 
     def __init__(self, folder: Path, domain: int | None = None) -> None:
         self.folder = folder
-        self._lock: IO[bytes] | None = None
-        self.domain = self._free_domain() if domain is None else domain
+        self._claim = contextlib.ExitStack()
+        if domain is None:
+            domain = self._claim.enter_context(free_domain(next(_domains)))
+        self.domain = domain
         self.env = os.environ | {
             "ROS_DOMAIN_ID": str(self.domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -130,18 +131,6 @@ class Graph:
         self.executor.add_node(self.node)
         self.heard: dict[str, list[Any]] = {}
         self._clients: dict[tuple[str, str], Any] = {}
-
-    def _free_domain(self) -> int:
-        """A domain that no other graph has, also none of other tests that run at this time."""
-        while True:
-            # Domains up to 101 keep clear of the ports that the system gives out.
-            domain = 1 + next(_domains) % 101
-            self._lock = (Path(tempfile.gettempdir()) / f"derail_ros_domain_{domain}").open("wb")
-            try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return domain
-            except OSError:
-                self._lock.close()
 
     # --- processes ---------------------------------------------------------------------------
 
@@ -186,8 +175,7 @@ class Graph:
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
-        if self._lock is not None:
-            self._lock.close()
+        self._claim.close()
 
     # --- listening ---------------------------------------------------------------------------
 
