@@ -361,7 +361,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError:
         print("The demonstration needs ROS 2 (rclpy). Without it: derail simulate mississauga")
         return 1
-    with free_domain(os.getpid()) as domain:
+    with contextlib.ExitStack() as held:
+        try:
+            domain = held.enter_context(free_domain(os.getpid()))
+        except RuntimeError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
         return run(arguments.scenario, arguments.speed_factor, arguments.output, domain)
 
 

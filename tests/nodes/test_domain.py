@@ -4,6 +4,7 @@ import socket
 
 import pytest
 
+from derail_ros import demo
 from derail_ros.nodes import domain
 from derail_ros.nodes.domain import DOMAINS, free_domain, in_use
 
@@ -35,6 +36,13 @@ def test_all_taken(monkeypatch) -> None:
     monkeypatch.setattr(domain, "in_use", lambda _: True)
     with pytest.raises(RuntimeError, match="no free ROS domain among 1 to 101"), free_domain(1):
         pass
+
+
+@pytest.mark.ros
+def test_the_demonstration_says_so_in_a_line(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(domain, "in_use", lambda _: True)
+    assert demo.main([]) == 1
+    assert capsys.readouterr().err == "error: no free ROS domain among 1 to 101\n"
 
 
 @pytest.mark.ros
