@@ -194,6 +194,64 @@ def compare_models(
     )
 
 
+@app.command()
+def accidents(
+    reports: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Files of accident reports (CSV, FRA form 54); the shipped averages without."
+        ),
+    ] = None,
+    broken_rail: Annotated[
+        bool, typer.Option("--broken-rail", help="Only reports whose cause is a broken rail.")
+    ] = False,
+    causes: Annotated[
+        list[str] | None, typer.Option("--cause", help="Only this code of a cause, e.g. T207.")
+    ] = None,
+    behind: Annotated[
+        int, typer.Option(min=1, help="Only with so many cars from the first one involved on.")
+    ] = 1,
+    loaded: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Only with this share of the cars loaded.")
+    ] = 0.0,
+    models: Annotated[
+        list[str] | None,
+        typer.Option("--model", "-m", help="Run the trains of the reports with it."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Change the base train, e.g. brakes.delay_s=10."
+        ),
+    ] = None,
+    most: Annotated[
+        int, typer.Option(min=1, help="Trains run of each class of speed, at most.")
+    ] = 100,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the choice of trains.")] = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    write: Annotated[
+        bool,
+        typer.Option(
+            "--write", help="Write docs/accidents.md (or --to) and the shipped averages."
+        ),
+    ] = False,
+    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
+        "docs/accidents.md"
+    ),
+) -> int:
+    """Cars derailed in reported accidents, and what a model makes of the same trains."""
+    from derail_ros.commands import accidents as command
+
+    chosen = command.Chosen(broken_rail, tuple(causes or ()), behind, loaded)
+    if write:
+        given = chosen != command.Chosen() or bool(models) or bool(settings)
+        return command.write_page(reports or [], to, seed, jobs, given)
+    return command.run(
+        reports or [], chosen, models or [], settings or [], most, seed, jobs, as_json
+    )
+
+
 @app.command("joint-velocities")
 def joint_velocities(
     scenario: Annotated[

@@ -332,10 +332,12 @@ def by_speed_figure(
     runs: Sequence[Sequence[Entry]],
     published: Sequence[tuple[float, float]] = (),
     lines: Sequence[tuple[str, Sequence[tuple[float, float]]]] = (),
+    measured: tuple[str, Sequence[tuple[float, float, float]]] | None = None,
 ) -> Figure:
     """Cars derailed over the speed, one line a model, named at its end.
 
-    ``published`` are points (km/h, cars); ``lines`` up to two further curves with their names.
+    ``published`` are points (km/h, cars); ``lines`` up to two further curves with their names;
+    ``measured`` points with bars (km/h, cars, half of the bar) and their name.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -373,6 +375,11 @@ def by_speed_figure(
                 *zip(*published, strict=True), ls="", marker="*", ms=15, mfc="white",
                 mec=VERMILION, mew=1.6, zorder=6, label="published",
             )  # fmt: skip
+        if measured is not None:
+            x, y, bar = zip(*measured[1], strict=True)
+            axes.errorbar(x, y, bar, color=INK, ls="", marker="o", ms=6, capsize=3, lw=1.4,
+                          zorder=5, label=f"{measured[0]}, ± 2 standard errors")  # fmt: skip
+        if published or measured is not None:
             axes.legend(loc="upper left", frameon=False, fontsize=9)
         low, high = axes.get_ylim()
         axes.set_ylim(0.0, high)

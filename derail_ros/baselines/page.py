@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from derail_ros.engine import TrainParams
+    from derail_ros.studies.accidents import SpeedClass
 
 BEGIN = "<!-- results: {} -->"
 END = "<!-- end of results -->"
@@ -149,8 +150,7 @@ class Plan:
     speeds : of the base train, all models, km/h
     scene_speed : the one whose final scenes are drawn, km/h
     fast : further speeds of the main model and Yang and Manos's, km/h
-    late : speeds (km/h) and delays of the brakes (s) with which the thesis' model derailed as many
-        cars as accidents do
+    classes : classes of speed of the reported accidents that are shown, from the fastest down
     choice_speeds : of Yang and Manos's base case with other choices, km/h
     trains : scenarios shown with all models
     limits : forces at which Anderson's springs are removed, N
@@ -163,7 +163,7 @@ class Plan:
     speeds: tuple[float, ...] = (30.0, 48.0, 60.0, 72.0, 90.0)
     scene_speed: float = 90.0
     fast: tuple[float, ...] = (96.0, 105.0, 112.0, 120.0, 130.0, 145.0)
-    late: tuple[tuple[float, float], ...] = ((24.0, 30.0), (48.0, 10.0))
+    classes: int = 7
     choice_speeds: tuple[float, ...] = (65.0, 96.0, 120.0)
     trains: tuple[str, ...] = ("mississauga", "yang_manos_base")
     limits: tuple[float, ...] = (3e6, 5e6, 10e6, 20e6)
@@ -205,9 +205,16 @@ def speed_case(v: float) -> str:
     return f"base_{v:g}"
 
 
-def late_case(v: float) -> str:
-    """The same with late brakes."""
-    return f"late_{v:g}"
+def reported(plan: Plan) -> list[SpeedClass]:
+    """Classes of speed of the reported accidents that the page shows."""
+    from derail_ros.studies.accidents import load_statistics
+
+    return list(load_statistics().groups["all"][-plan.classes :])
+
+
+def class_speed(one: SpeedClass) -> float:
+    """Speed at which the base train stands for a class, km/h."""
+    return round(one.speed_kmh, 1)
 
 
 def jobs_of(plan: Plan, members: int) -> list[Job]:
@@ -240,13 +247,8 @@ def jobs_of(plan: Plan, members: int) -> list[Job]:
     both = [m for m in ("toma", "yang-manos") if m in plan.models]
     found += [base(speed_case(v), m, m, v, members) for v in plan.fast for m in both]
     if len(both) == 2:
-        found += [
-            Job(
-                late_case(v), "toma", "toma", "base_train",
-                {"train.speed_kmh": v, "brakes.delay_s": delay, **plan.shared}, {}, members,
-            )
-            for v, delay in plan.late
-        ]  # fmt: skip
+        speeds = [class_speed(one) for one in reported(plan)]
+        found += [base(speed_case(v), m, m, v, members) for v in speeds for m in both]
         found += [
             Job(
                 f"choice_{v:g}", label, model, "yang_manos_base",
@@ -362,18 +364,6 @@ def series(plan: Plan) -> tuple[list[float], list[float]]:
     """Speeds (km/h) and counts of the published speed series, as far as the page shows it."""
     known = [(v, published_run("base_train", v).get("cars_derailed")) for v in plan.speeds]
     return [v for v, c in known if c is not None], [float(c) for _, c in known if c is not None]
-
-
-def accidents(cases: Cases, plan: Plan) -> tuple[float, float]:
-    """Power law (cars; speed in km/h) of accidents, as the thesis' late brakes imply it.
-
-    The thesis quotes statistics of accidents that its model reached at two speeds, and only with
-    brakes that begin late. The main model with these brakes stands for the statistics, which are
-    not known here.
-    """
-    speeds = [v for v, _ in plan.late]
-    counts = [float(cases[late_case(v)]["toma"].mean["cars_derailed"]) for v in speeds]
-    return power_law(speeds, counts)
 
 
 # Tables ---------------------------------------------------------------------------------------
@@ -495,11 +485,9 @@ def train_table(cases: Cases, plan: Plan, name: str) -> str:
 
 def fast_table(cases: Cases, plan: Plan) -> str:
     """Yang and Manos's model and the main one over the speed."""
-    heads = ["speed (km/h)", "published", "published, carried on", "accidents, implied", "`toma`",
-             "`yang-manos`", "beyond accidents", "share of the train", "couplings parted",
-             "zig-zag"]  # fmt: skip
+    heads = ["speed (km/h)", "published", "published, carried on", "`toma`", "`yang-manos`",
+             "share of the train", "couplings parted", "zig-zag"]  # fmt: skip
     a, b = power_law(*series(plan))
-    c, d = accidents(cases, plan)
     rows = []
     for v in sorted({*plan.speeds, *plan.fast}):
         case = cases[speed_case(v)]
@@ -512,28 +500,57 @@ def fast_table(cases: Cases, plan: Plan) -> str:
                 f"{v:g}",
                 as_printed(published_run("base_train", v), "cars_derailed", 1.0),
                 f"{a * v**b:.1f}",
-                f"{c * v**d:.1f}",
                 with_spread(ours, "cars_derailed"),
                 with_spread(theirs, "cars_derailed"),
-                "-" if mean is None else f"{100.0 * (mean / (c * v**d) - 1.0):+.0f} %",
                 share,
                 f"{max(int(n['couplings_parted']) for n in theirs.notes)}",
                 f"{min(float(n['zigzag']) for n in theirs.notes):g}",
             ]
         )
-    late = ", ".join(
-        f"{delay:g} s at {v:g} km/h: {with_spread(cases[late_case(v)]['toma'], 'cars_derailed')}"
-        for v, delay in plan.late
-    )
     return "\n".join(
         [
             *_table(heads, rows),
             "",
             f"Carried on: `{a:.3g} v^{b:.2f}`, the power law through the published counts. "
-            f"Accidents, implied: `{c:.3g} v^{d:.2f}`, through the counts of `toma` with the late "
-            f"brakes that the thesis needs to reach its statistics ({late}). "
             "Couplings parted: the most in any run. Zig-zag: the least share, in any run, of "
             "neighbouring derailed cars that are turned to opposite sides.",
+        ]
+    )
+
+
+def accident_table(cases: Cases, plan: Plan) -> str:
+    """Yang and Manos's model and the main one beside reported accidents."""
+    from derail_ros.studies.accidents import GROUPS, load_statistics
+
+    heads = ["speed, mean (km/h)", "reports", "reported, all causes", "`yang-manos`",
+             "of the reported", "`toma`", GROUPS["broken_rail_long"].words]  # fmt: skip
+    statistics = load_statistics()
+    long = {c.low_kmh: c for c in statistics.groups["broken_rail_long"]}
+    rows = []
+    for one in reported(plan):
+        case = cases[speed_case(class_speed(one))]
+        mean = case["yang-manos"].mean.get("cars_derailed")
+        other = long.get(one.low_kmh)
+        rows.append(
+            [
+                f"{class_speed(one):g}",
+                f"{one.reports}",
+                f"{one.mean:.1f} ± {one.error:.1f}",
+                with_spread(case["yang-manos"], "cars_derailed"),
+                "-" if mean is None else f"{100.0 * mean / one.mean:.0f} %",
+                with_spread(case["toma"], "cars_derailed"),
+                "-" if other is None
+                else f"{other.mean:.1f} ± {other.error:.1f} ({other.reports})",
+            ]
+        )  # fmt: skip
+    first, last = statistics.years
+    return "\n".join(
+        [
+            *_table(heads, rows),
+            "",
+            f"Reported: {statistics.source}, {first} to {last}, freight trains derailed on main "
+            "track; mean ± standard error of the freight cars derailed (number of reports, where "
+            "it is another one).",
         ]
     )
 
@@ -623,6 +640,7 @@ def blocks(cases: Cases, plan: Plan, about: str) -> dict[str, str]:
     found = {"base_train": speed_tables(cases, plan)}
     found |= {name: train_table(cases, plan, name) for name in plan.trains}
     found["yang_manos_speed"] = fast_table(cases, plan)
+    found["yang_manos_accidents"] = accident_table(cases, plan)
     found["yang_manos_choices"] = choice_table(cases, plan)
     found["anderson_limit"] = limit_table(cases, plan)
     found["roorda_gracie_friction"] = friction_table(cases, plan)
@@ -642,8 +660,9 @@ def missing_markers(page: str, names: Sequence[str]) -> list[str]:
 
 
 NAMES = (
-    "base_train", "mississauga", "yang_manos_base", "yang_manos_speed", "yang_manos_choices",
-    "anderson_limit", "roorda_gracie_friction", "joints", "many_trains", "about",
+    "base_train", "mississauga", "yang_manos_base", "yang_manos_speed", "yang_manos_accidents",
+    "yang_manos_choices", "anderson_limit", "roorda_gracie_friction", "joints", "many_trains",
+    "about",
 )  # fmt: skip
 """Results of the page."""
 
@@ -698,15 +717,15 @@ def figures(cases: Cases, plan: Plan) -> dict[str, Figure]:
         entries = [case[m].entry() for m in plan.models]
         drawn[f"models_{name}.png"] = figure(title, entries, means, known)
     a, b = power_law(speeds, counts)
-    all_speeds = sorted({*plan.speeds, *plan.fast})
+    known = [class_speed(one) for one in reported(plan)]
+    all_speeds = sorted({*plan.speeds, *plan.fast, *known})
     law = [(v, a * v**b) for v in np.linspace(all_speeds[0], all_speeds[-1], 60)]
-    c, d = accidents(cases, plan)
-    implied = [(v, c * v**d) for v, _ in law]
+    told = [(one.speed_kmh, one.mean, 2.0 * one.error) for one in reported(plan)]
     both = [
         [cases[speed_case(v)][m].mean_entry() for m in ("toma", "yang-manos")] for v in all_speeds
     ]
     drawn["models_yang_manos_speed.png"] = by_speed_figure(
         "Yang and Manos beside the main model: base train, 60 cars", all_speeds, both, published,
-        [("published, carried on", law), ("accidents, implied", implied)],
+        [("published, carried on", law)], ("reported accidents, all causes", told),
     )  # fmt: skip
     return drawn

@@ -11,6 +11,7 @@ from derail_ros.baselines.models import MODELS, run_model
 from derail_ros.cli import main
 from derail_ros.commands.models import write_results
 from derail_ros.scenario import load_scenario
+from derail_ros.studies.accidents import load_statistics
 from derail_ros.studies.ensemble import member_factor, vary
 from derail_ros.studies.records import failed_record
 from derail_ros.studies.validation import load_published
@@ -21,6 +22,7 @@ PLAN = page.Plan(
     speeds=(30.0, 48.0),
     scene_speed=48.0,
     fast=(96.0,),
+    classes=2,
     choice_speeds=(65.0,),
     trains=("mississauga", "yang_manos_base"),
     limits=(3e6, 20e6),
@@ -103,16 +105,16 @@ def test_tables_of_choices(written, cases):
     row = table(text, "yang_manos_speed")["96"]
     assert row[0] == "-"
     assert row[-2:] == ["0", "1"]  # couplings parted, zig-zag
-    late = [
-        np.mean([r["cars_derailed"] for r in runs("base_train", "toma", 2, **settings)])
-        for settings in (
-            {"train.speed_kmh": 24.0, "brakes.delay_s": 30.0},
-            {"train.speed_kmh": 48.0, "brakes.delay_s": 10.0},
-        )
-    ]
-    implied = late[1] ** 2 / late[0]  # a power law over two doublings of the speed
-    assert row[2] == f"{implied:.1f}"
-    assert row[5] == f"{100.0 * (float(row[4].split(' ')[0]) / implied - 1.0):+.0f} %"
+    lines = table(text, "yang_manos_accidents")
+    slow, fast = (page.class_speed(one) for one in page.reported(PLAN))
+    classes = load_statistics().groups["all"]
+    for v, one in ((slow, classes[-2]), (fast, classes[-1])):
+        row = lines[f"{v:g}"]
+        assert row[:2] == [str(one.reports), f"{one.mean:.1f} ± {one.error:.1f}"]
+        mean = np.mean([r["cars_derailed"] for r in runs("base_train", "yang-manos", 2,
+                                                          **{"train.speed_kmh": v})])  # fmt: skip
+        assert row[2].startswith(f"{mean:.1f}")
+        assert row[3] == f"{100.0 * mean / one.mean:.0f} %"
     choices = table(text, "yang_manos_choices")
     count = {name: float(cells[0].split(" ")[0]) for name, cells in choices.items()
              if name != "cars derailed of 61"}  # fmt: skip

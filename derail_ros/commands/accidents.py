@@ -1,0 +1,278 @@
+"""``derail accidents``: reported accidents, and the models on the same trains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+
+if TYPE_CHECKING:
+    from derail_ros.studies.accidents import Group, Report, SpeedClass
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Which reports, as the options say."""
+
+    broken_rail: bool = False
+    causes: tuple[str, ...] = ()
+    behind: int = 1
+    loaded: float = 0.0
+
+    def group(self) -> Group:
+        """As a group of reports."""
+        from derail_ros.studies.accidents import BROKEN_RAIL, Group
+
+        if self.broken_rail and self.causes:
+            raise CommandFailure("--broken-rail and --cause: give one of them")
+        causes = BROKEN_RAIL if self.broken_rail else tuple(c.upper() for c in self.causes)
+        return Group(causes, self.behind, self.loaded)
+
+
+def read(paths: Sequence[Path]) -> list[Report]:
+    """Read reports; a file that cannot be read ends the command with one line."""
+    from derail_ros.studies.accidents import AccidentFileError, read_reports
+
+    try:
+        return read_reports(paths)
+    except AccidentFileError as error:
+        raise CommandFailure(str(error)) from None
+
+
+def run(
+    paths: Sequence[Path],
+    chosen: Chosen,
+    models: Sequence[str],
+    settings: Sequence[str],
+    most: int,
+    seed: int,
+    jobs: int | None,
+    as_json: bool,
+) -> int:
+    """Print averages of reports, and of the models if asked; the exit code."""
+    from derail_ros.studies.accidents import by_speed, load_statistics
+
+    group = chosen.group()
+    if not paths:
+        if chosen != Chosen() or models or settings:
+            raise CommandFailure(
+                "choosing reports and running their trains needs the reports: name their files "
+                "(docs/accidents.md says where to get them)"
+            )
+        return _shipped(load_statistics(), as_json)
+    if settings and not models:
+        raise CommandFailure("--set: is for the trains that --model runs")
+    from derail_ros.commands.models import _check_model
+
+    for name in models:
+        _check_model(name)
+    reports = [r for r in read(paths) if r in group]
+    if not reports:
+        raise CommandFailure(
+            f"{', '.join(map(str, paths))}: no freight train derailed on main track: {group.words}"
+        )
+    if not models:
+        classes = by_speed(reports)
+        if as_json:
+            from dataclasses import asdict
+
+            common.print_json(
+                {"group": group.words, "reports": len(reports),
+                 "classes": [asdict(c) for c in classes]}
+            )  # fmt: skip
+        else:
+            _print_classes(f"{group.words}: {len(reports)} reports", classes)
+        return OK
+    return _run_models(reports, group, models, settings, most, seed, jobs, as_json)
+
+
+def _run_models(
+    reports: Sequence[Report],
+    group: Group,
+    models: Sequence[str],
+    settings: Sequence[str],
+    most: int,
+    seed: int,
+    jobs: int | None,
+    as_json: bool,
+) -> int:
+    from derail_ros.baselines import reenact as r
+    from derail_ros.engine import ParameterError
+    from derail_ros.scenario import parse_set
+
+    overrides = dict(parse_set(text) for text in settings)
+    common.load("base_train", settings)  # a mistake in a setting is told before the first run
+    trains = r.sample(reports, most, seed)
+    if not trains:
+        raise CommandFailure(f"no report has a weight that can be right: {group.words}")
+    ways = [r.Way(name, name, overrides) for name in dict.fromkeys(models)]
+    common.warm_up()
+    with common.progress(*common.counting_columns()) as bars:
+        task = bars.add_task("accidents", total=len(trains) * len(ways))
+        try:
+            counts = r.reenact(
+                trains, ways, jobs=jobs,
+                progress=lambda done, _total: bars.update(task, completed=done),
+            )  # fmt: skip
+        except ParameterError as error:
+            raise CommandFailure(f"base_train: {error}") from None
+    rows = r.averages(trains, counts)
+    failed = sum(value is None for values in counts.values() for value in values)
+    if as_json:
+        common.print_json(
+            {
+                "group": group.words,
+                "settings": list(settings),
+                "classes": [
+                    {
+                        "trains": n,
+                        "speed_kmh": speed,
+                        "reported": {"mean": own.mean, "error": own.error},
+                        "models": {
+                            label: {
+                                "mean": None if c.failed == n else c.mean,
+                                "error": c.error,
+                                "failed": c.failed,
+                            }
+                            for label, c in cells.items()
+                        },
+                    }
+                    for n, speed, own, cells in rows
+                ],
+                "agreement": {k: r.agreement(trains, values) for k, values in counts.items()},
+            }
+        )
+    else:
+        _print_models(group, settings, rows, trains, counts)
+    if failed:
+        note(f"derail: {failed} runs failed")
+    return FAILED if failed else OK
+
+
+def _print_models(
+    group: Group,
+    settings: Sequence[str],
+    rows: Sequence[Any],
+    trains: Sequence[Report],
+    counts: Any,
+) -> None:
+    from rich.table import Table
+
+    from derail_ros.baselines import reenact as r
+
+    console = common.out()
+    words = f", {', '.join(settings)}" if settings else ""
+    title = f"Cars derailed, means of {len(trains)} trains: {group.words}{words}"
+    console.print(title, soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("speed, km/h", "trains", "reported", *counts):
+        table.add_column(heading, justify="right")
+    for n, speed, own, cells in rows:
+        table.add_row(
+            f"{speed:.0f}", str(n), r.with_error(own.mean, own.error),
+            *(r.with_error(c.mean, c.error) for c in cells.values()),
+        )  # fmt: skip
+    console.print(table)
+    for label, values in counts.items():
+        a = r.agreement(trains, values)
+        console.print(
+            f"{label}: {a['ratio']:.2f} of the reported cars; rank correlation over the trains "
+            f"{a['rank']:.2f} (of the speed alone {a['rank_speed']:.2f}); "
+            f"{100.0 * a['within']:.0f} % within a factor of two"
+        )
+
+
+def _shipped(statistics: Any, as_json: bool) -> int:
+    from derail_ros.studies.accidents import GROUPS
+
+    if as_json:
+        common.print_json(statistics.as_dict())
+        return OK
+    first, last = statistics.years
+    common.out().print(
+        "Freight cars derailed of freight trains derailed on main track in the United States, "
+        f"{first} to {last}.\n{statistics.source}.\n",
+        soft_wrap=True,
+    )
+    for name, classes in statistics.groups.items():
+        n = sum(c.reports for c in classes)
+        _print_classes(f"{GROUPS[name].words}: {n} reports", classes)
+    return OK
+
+
+def _print_classes(title: str, classes: Sequence[SpeedClass]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("speed, km/h", "reports", "cars, mean", "its error", "median", "90 %"):
+        table.add_column(heading, justify="right")
+    for c in classes:
+        table.add_row(
+            f"{c.low_kmh:.0f} to {c.high_kmh:.0f}", str(c.reports), f"{c.mean:.1f}",
+            f"{c.error:.1f}" if c.reports > 1 else "-", f"{c.median:.0f}", f"{c.q90:.0f}",
+        )  # fmt: skip
+    console = common.out()
+    console.print(title[0].upper() + title[1:], soft_wrap=True)
+    console.print(table)
+    console.print()
+
+
+def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, more: bool) -> int:
+    """Run what ``docs/accidents.md`` shows; write it, its figures and the shipped averages."""
+    from derail_ros.baselines import reenact as r
+    from derail_ros.baselines.page import fill, missing_markers
+    from derail_ros.engine.jit import source_hash
+    from derail_ros.review import figures
+    from derail_ros.studies import accidents as a
+
+    if more:
+        raise CommandFailure("--write is for the page's own cases, without other choices")
+    if not paths:
+        raise CommandFailure("--write: name the files of the reports")
+    images = common.image_beside(page, "accidents.png").parent
+    if not page.is_file():
+        raise CommandFailure(f"{page}: there is no such page")
+    text = page.read_text(encoding="utf-8")
+    if missing := missing_markers(text, r.NAMES):
+        raise CommandFailure(f"{page}: has no place for the results {', '.join(missing)}")
+    reports = read(paths)
+    common.warm_up()
+    plan = r.Plan()
+    with common.progress(*common.counting_columns()) as bars:
+        task = bars.add_task("accidents", total=None)
+        try:
+            results = r.compute(
+                reports, plan, seed, jobs=jobs,
+                progress=lambda done, total: bars.update(task, completed=done, total=total),
+            )  # fmt: skip
+        except ValueError as error:
+            raise CommandFailure(f"{', '.join(map(str, paths))}: {error}") from None
+    first, last = results.statistics.years
+    about = (
+        f"<sub>`derail accidents FILES --write` with the {len(paths)} files of {first} to {last}: "
+        f"{len(reports)} freight trains derailed on main track. One run a train and model, no "
+        f"ensemble; of all causes at most {plan.every} trains of a class of speed, drawn with "
+        f"seed {seed}. Mean ± its standard error. Engine {source_hash()[:16]}.</sub>"
+    )
+    for name, figure in r.figures(results).items():
+        figures.save(figure, images / name, dpi=common.IMAGE_DPI)
+    page.write_text(fill(text, r.blocks(results, about)), encoding="utf-8")
+    shipped = Path(a.__file__).parent / "data" / a.SHIPPED
+    try:
+        shipped.write_text(a.statistics_yaml(results.statistics), encoding="utf-8")
+    except OSError as error:
+        raise CommandFailure(f"{shipped}: {error.strerror or error}") from None
+    note(f"derail: wrote {page}, its figures in {images}, and {shipped}")
+    failed = sum(
+        value is None
+        for counts in (results.counts, results.every_counts)
+        for values in counts.values()
+        for value in values
+    )
+    if failed:
+        note(f"derail: {failed} runs failed")
+    return FAILED if failed else OK

@@ -1,0 +1,384 @@
+"""Reported accidents: freight trains that derailed on a main track, and how many cars of them.
+
+The United States' Federal Railroad Administration (FRA) has every accident above a threshold of
+damage reported (form F 6180.54) and publishes the reports, a table a year. Of a derailed train
+they give the speed, the loaded and empty cars, those derailed, the place of the first car
+involved, the weight behind the locomotives and the cause; not the lengths of cars, their
+couplers, the brakes, nor where they came to rest.
+
+A :class:`Group` of reports is averaged over classes of speed (:func:`by_speed`). Averages come
+with the package (:func:`load_statistics`); the reports themselves are the user's own copy.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+KMH_PER_MPH = 1.609344
+KG_PER_SHORT_TON = 907.18474
+
+EDGES_MPH = (5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 90.0)
+"""Limits of the classes of speed: reports have round speeds in mph, which lie in their middles."""
+
+BROKEN_RAIL = (
+    "T201", "T202", "T203", "T204", "T207", "T208", "T210", "T211", "T212", "T218", "T220",
+    "T221",
+)  # fmt: skip
+"""Codes of causes that the FRA's guide calls "broken rail"."""
+
+MASSES = (20e3, 150e3)
+"""Mean masses of a car (kg) outside of which a report's weight or number of cars is wrong."""
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "railroad": ("RAILROAD", "Reporting Railroad Code"),
+    "number": ("INCDTNO", "Accident Number"),
+    "year": ("YEAR4", "Accident Year"),
+    "accident": ("TYPE", "Accident Type Code", "Accident Type"),
+    "equipment": ("TYPEQ", "Equipment Type Code", "Equipment Type"),
+    "track": ("TYPTRK", "Track Type Code", "Track Type"),
+    "speed": ("TRNSPD", "Train Speed"),
+    "first": ("POSITON1", "First Car Position"),
+    "locomotives": ("HEADEND1", "Head End Locomotives"),
+    "loaded": ("LOADF1", "Loaded Freight Cars"),
+    "empty": ("EMPTYF1", "Empty Freight Cars"),
+    "loaded_derailed": ("LOADF2", "Derailed Loaded Freight Cars"),
+    "empty_derailed": ("EMPTYF2", "Derailed Empty Freight Cars"),
+    "tons": ("TONS", "Gross Tonnage"),
+    "cause": ("CAUSE", "Primary Accident Cause Code"),
+}
+"""What is needed of a report -> headings of its column: the yearly files', the portal's."""
+
+WANTED = {
+    "accident": ("1", "01", "DERAILMENT"),
+    "equipment": ("1", "01", "FREIGHT TRAIN"),
+    "track": ("1", "01", "MAIN"),
+}
+"""What makes a report one of a freight train derailed on a main track."""
+
+
+class AccidentFileError(ValueError):
+    """A file of reports that cannot be read; the message names file, line, column and reason."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A freight train derailed on a main track.
+
+    Attributes
+    ----------
+    railroad, number, year : of the report
+    speed_kmh : when it derailed
+    cars, loaded : freight cars of the train; of them loaded
+    derailed : freight cars
+    first : place of the first car involved among the cars, from 1
+    mass_kg : mean gross mass of a car; None where the report's weight cannot be right
+    cause : the FRA's code of the primary cause
+    """
+
+    railroad: str
+    number: str
+    year: int
+    speed_kmh: float
+    cars: int
+    loaded: int
+    derailed: int
+    first: int
+    mass_kg: float | None
+    cause: str
+
+    @property
+    def behind(self) -> int:
+        """Cars from the first one involved to the end of the train."""
+        return self.cars - self.first + 1
+
+
+# Reading --------------------------------------------------------------------------------------
+
+
+def _columns(heads: Sequence[str], path: Path) -> dict[str, int]:
+    place = {head.strip().strip('"').casefold(): i for i, head in enumerate(heads)}
+    found = {}
+    for key, names in COLUMNS.items():
+        at = next((place[n.casefold()] for n in names if n.casefold() in place), None)
+        if at is None:
+            raise AccidentFileError(
+                f"{path}: line 1: has no column {' or '.join(names)}; it must be a table, with "
+                "headings, of reports on form FRA F 6180.54"
+            )
+        found[key] = at
+    return found
+
+
+def _whole(text: str, key: str, heads: Sequence[str], at: int, where: str) -> int:
+    try:
+        value = float(text or 0)
+        if not 0.0 <= value < 1e7:
+            raise ValueError
+    except ValueError:
+        raise AccidentFileError(
+            f"{where}: {heads[at].strip()}: must be a number from 0 on, not {text!r} ({key})"
+        ) from None
+    return int(value)
+
+
+def read_reports(paths: Iterable[Path]) -> list[Report]:
+    """Reports of freight trains derailed on main track, in the files' order, each one once.
+
+    Parameters
+    ----------
+    paths : CSV files with a line of headings, the FRA's yearly ones or its portal's
+
+    Reports without a car derailed or without a speed are left out, and of several reports with
+    the same railroad, number and train the later ones.
+
+    Raises
+    ------
+    AccidentFileError
+        Naming file, line and column.
+    """
+    reports: dict[tuple[Any, ...], Report] = {}
+    for path in paths:
+        try:
+            with open(path, encoding="latin-1", newline="") as stream:
+                for report in _reports(csv.reader(stream), path):
+                    key = (report.railroad, report.number, report.year, report.cars, report.first)
+                    reports.setdefault(key, report)
+        except OSError as error:
+            raise AccidentFileError(f"{path}: {error.strerror or error}") from None
+        except csv.Error as error:
+            raise AccidentFileError(f"{path}: is not a table of reports: {error}") from None
+    return list(reports.values())
+
+
+def _reports(lines: Any, path: Path) -> Iterator[Report]:
+    heads = next(lines, None)
+    if heads is None:
+        raise AccidentFileError(f"{path}: is empty")
+    at = _columns(heads, path)
+    last = max(at.values())
+    for cells in lines:
+        if not cells:
+            continue
+        where = f"{path}: line {lines.line_num}"
+        if len(cells) <= last:
+            raise AccidentFileError(f"{where}: has {len(cells)} columns, fewer than line 1")
+        if any(cells[at[k]].strip().upper() not in words for k, words in WANTED.items()):
+            continue
+        n = {
+            key: _whole(cells[at[key]].strip().replace(",", ""), key, heads, at[key], where)
+            for key in ("year", "speed", "first", "locomotives", "loaded", "empty",
+                        "loaded_derailed", "empty_derailed", "tons")
+        }  # fmt: skip
+        cars, derailed = n["loaded"] + n["empty"], n["loaded_derailed"] + n["empty_derailed"]
+        if not derailed or not cars or not n["speed"]:
+            continue
+        mass = n["tons"] * KG_PER_SHORT_TON / cars
+        yield Report(
+            cells[at["railroad"]].strip(),
+            cells[at["number"]].strip(),
+            n["year"],
+            n["speed"] * KMH_PER_MPH,
+            cars,
+            n["loaded"],
+            derailed,
+            min(max(n["first"] - n["locomotives"], 1), cars),
+            mass if MASSES[0] <= mass <= MASSES[1] else None,
+            cells[at["cause"]].strip().upper(),
+        )
+
+
+# Groups ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Group:
+    """Reports that are looked at together.
+
+    Attributes
+    ----------
+    causes : codes of causes; all if empty
+    behind : least number of cars from the first one involved to the end
+    loaded : least share of loaded cars
+    """
+
+    causes: tuple[str, ...] = ()
+    behind: int = 1
+    loaded: float = 0.0
+
+    def __contains__(self, report: Report) -> bool:
+        return (
+            (not self.causes or report.cause in self.causes)
+            and report.behind >= self.behind
+            and report.loaded >= self.loaded * report.cars
+        )
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        text = "all causes"
+        if self.causes:
+            text = "broken rail" if self.causes == BROKEN_RAIL else ", ".join(self.causes)
+        if self.behind > 1:
+            text += f", {self.behind} or more cars behind"
+        if self.loaded > 0.0:
+            text += f", {100.0 * self.loaded:.0f} % of the cars loaded"
+        return text
+
+
+GROUPS: dict[str, Group] = {
+    "all": Group(),
+    "broken_rail": Group(BROKEN_RAIL),
+    "broken_rail_long": Group(BROKEN_RAIL, behind=50),
+    "broken_rail_long_loaded": Group(BROKEN_RAIL, behind=50, loaded=0.9),
+}
+"""Those of the shipped statistics."""
+
+
+@dataclass(frozen=True)
+class SpeedClass:
+    """Cars derailed in the reports of a class of speed.
+
+    Attributes
+    ----------
+    low_kmh, high_kmh : limits, the upper one belongs to it
+    reports : number of them
+    speed_kmh : their mean
+    mean, error : of the cars derailed, and its standard error (0 of a single report)
+    median, q90 : of the cars derailed
+    """
+
+    low_kmh: float
+    high_kmh: float
+    reports: int
+    speed_kmh: float
+    mean: float
+    error: float
+    median: float
+    q90: float
+
+
+def error_of_mean(values: Any) -> float:
+    """``s / sqrt(n)``; 0 of a single value."""
+    return float(np.std(values, ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
+def in_classes(reports: Iterable[Report]) -> Iterator[tuple[float, float, list[Report]]]:
+    """Limits (km/h) and reports of the classes of speed that have any."""
+    reports = list(reports)
+    for low, high in zip(EDGES_MPH, EDGES_MPH[1:], strict=False):
+        a, b = low * KMH_PER_MPH, high * KMH_PER_MPH
+        chosen = [r for r in reports if a < r.speed_kmh <= b]
+        if chosen:
+            yield a, b, chosen
+
+
+def by_speed(reports: Iterable[Report]) -> list[SpeedClass]:
+    """Cars derailed over the classes of speed that have reports."""
+    found = []
+    for low, high, chosen in in_classes(reports):
+        n = [r.derailed for r in chosen]
+        speed = float(np.mean([r.speed_kmh for r in chosen]))
+        found.append(
+            SpeedClass(
+                low, high, len(n), speed, float(np.mean(n)), error_of_mean(n),
+                float(np.median(n)), float(np.quantile(n, 0.9)),
+            )
+        )  # fmt: skip
+    return found
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Averages of reports: what is shipped of them.
+
+    Attributes
+    ----------
+    source : of the reports
+    years : first and last
+    groups : name of a group -> its classes of speed
+    """
+
+    source: str
+    years: tuple[int, int]
+    groups: Mapping[str, tuple[SpeedClass, ...]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "source": self.source,
+            "years": list(self.years),
+            "groups": {
+                name: {
+                    "words": GROUPS[name].words,
+                    "classes": [asdict(c) for c in classes],
+                }
+                for name, classes in self.groups.items()
+            },
+        }
+
+
+SOURCE = (
+    "Federal Railroad Administration, Rail Equipment Accident/Incident Data (form FRA F 6180.54)"
+)
+
+SHIPPED = "accidents.yaml"
+"""The shipped statistics, among the data of this package."""
+
+
+def statistics_of(reports: Sequence[Report]) -> Statistics:
+    """Averages of the shipped groups.
+
+    Raises
+    ------
+    ValueError
+        There is no report.
+    """
+    if not reports:
+        raise ValueError("there is no freight train derailed on a main track among the reports")
+    years = [r.year for r in reports]
+    groups = {
+        name: tuple(by_speed(r for r in reports if r in group)) for name, group in GROUPS.items()
+    }
+    return Statistics(SOURCE, (min(years), max(years)), groups)
+
+
+def load_statistics() -> Statistics:
+    """The statistics that come with the package."""
+    import yaml
+
+    text = (files("derail_ros.studies") / "data" / SHIPPED).read_text(encoding="utf-8")
+    data = yaml.safe_load(text)
+    names = [f.name for f in fields(SpeedClass)]
+    groups = {
+        name: tuple(SpeedClass(*(row[n] for n in names)) for row in group["classes"])
+        for name, group in data["groups"].items()
+    }
+    return Statistics(data["source"], tuple(data["years"]), groups)
+
+
+def statistics_yaml(statistics: Statistics) -> str:
+    """The file of the shipped statistics."""
+    import yaml
+
+    def rounded(value: Any) -> Any:
+        if isinstance(value, float):
+            return round(value, 3)
+        if isinstance(value, dict):
+            return {k: rounded(v) for k, v in value.items()}
+        return [rounded(v) for v in value] if isinstance(value, list) else value
+
+    head = (
+        "# Averages of accident reports, written by `derail accidents FILES --write`.\n"
+        "# Freight cars derailed of freight trains derailed on main track, by classes of speed.\n"
+    )
+    body = yaml.safe_dump(rounded(statistics.as_dict()), sort_keys=False, default_flow_style=None,
+                          width=120)  # fmt: skip
+    return head + body

@@ -1,0 +1,376 @@
+"""Accident reports: reading, averages, and the models on their trains."""
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from derail_ros.baselines import page, reenact
+from derail_ros.baselines.models import run_model
+from derail_ros.cli import main
+from derail_ros.scenario import load_scenario
+from derail_ros.studies import accidents as a
+
+ROOT = Path(__file__).parents[2]
+
+YEARLY = {
+    "RAILROAD": "BNSF", "INCDTNO": "A1", "YEAR4": "2010", "TYPE": "01", "TYPEQ": "1",
+    "TYPTRK": "1", "TRNSPD": "040", "POSITON1": "012", "HEADEND1": "2", "LOADF1": "100",
+    "EMPTYF1": "10", "LOADF2": "20", "EMPTYF2": "1", "TONS": "12100", "CAUSE": "T207 ",
+}  # fmt: skip
+PORTAL = {
+    "Reporting Railroad Code": "BNSF", "Accident Number": "A1", "Accident Year": "2010",
+    "Accident Type": "Derailment", "Equipment Type": "Freight Train", "Track Type": "Main",
+    "Train Speed": "40", "First Car Position": "12", "Head End Locomotives": "2",
+    "Loaded Freight Cars": "100", "Empty Freight Cars": "10", "Derailed Loaded Freight Cars": "20",
+    "Derailed Empty Freight Cars": "1", "Gross Tonnage": "12,100",
+    "Primary Accident Cause Code": "T207",
+}  # fmt: skip
+
+
+def write(path, *rows, heads=None):
+    """A file of reports; the columns in another order than the reader's, one more before them."""
+    heads = ["OTHER", *reversed(heads or list(rows[0]))]
+    with open(path, "w", encoding="latin-1", newline="") as stream:
+        out = csv.DictWriter(stream, heads, restval="Ã¤,\n x", quoting=csv.QUOTE_ALL)
+        out.writeheader()
+        out.writerows(rows)
+    return path
+
+
+@pytest.fixture
+def many(tmp_path):
+    """Two classes of speed, different causes, lengths and loads; numbers as in real reports."""
+    rows = [
+        YEARLY | {"INCDTNO": str(k), "TRNSPD": v, "POSITON1": "5", "LOADF1": cars,
+                  "EMPTYF1": "0", "LOADF2": derailed, "EMPTYF2": "0",
+                  "TONS": str(int(cars) * tons), "CAUSE": cause}
+        for k, (v, cars, derailed, tons, cause) in enumerate(
+            [("10", "60", "4", 100, "T207"), ("10", "60", "6", 100, "T220"),
+             ("10", "20", "1", 50, "E53C"), ("12", "60", "9", 130, "T204"),
+             ("25", "60", "10", 100, "T207"), ("25", "70", "14", 130, "H501"),
+             ("25", "60", "12", 9, "T207")])
+    ]  # fmt: skip
+    return write(tmp_path / "many.txt", *rows)
+
+
+@pytest.mark.parametrize("row", [YEARLY, PORTAL], ids=["yearly", "portal"])
+def test_a_report(tmp_path, row):
+    (report,) = a.read_reports([write(tmp_path / "x.csv", row)])
+    assert report == a.Report(
+        railroad="BNSF", number="A1", year=2010, speed_kmh=40 * 1.609344, cars=110, loaded=100,
+        derailed=21, first=10, mass_kg=12100 * 907.18474 / 110, cause="T207",
+    )  # fmt: skip
+    assert report.behind == 101
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"TYPE": "02"}, {"TYPEQ": "7"}, {"TYPTRK": "2"}, {"LOADF2": "0", "EMPTYF2": "0"},
+     {"TRNSPD": ""}, {"TRNSPD": "0"}, {"LOADF1": "0", "EMPTYF1": "0"}],
+    ids=str,
+)  # fmt: skip
+def test_reports_that_are_left_out(tmp_path, other):
+    path = write(tmp_path / "x.csv", YEARLY | other, YEARLY | {"INCDTNO": "A2"})
+    assert [r.number for r in a.read_reports([path])] == ["A2"]
+
+
+def test_a_report_in_two_files_counts_once_two_trains_of_it_twice(tmp_path):
+    one = write(tmp_path / "1.csv", YEARLY, YEARLY | {"LOADF1": "50"})
+    two = write(tmp_path / "2.csv", YEARLY, YEARLY | {"YEAR4": "2011"})
+    reports = a.read_reports([one, two])
+    assert [(r.cars, r.year) for r in reports] == [(110, 2010), (60, 2010), (110, 2011)]
+
+
+@pytest.mark.parametrize("tons", ["0", "100", "30000"])
+def test_a_weight_that_cannot_be_right_is_none(tmp_path, tons):
+    (report,) = a.read_reports([write(tmp_path / "x.csv", YEARLY | {"TONS": tons})])
+    assert report.mass_kg is None
+    with pytest.raises(ValueError, match="BNSF A1: has no mass"):
+        reenact.train_of(load_scenario("base_train"), report)
+
+
+def test_the_place_of_the_first_car_stays_within_the_train(tmp_path):
+    for position, first in (("0", 1), ("1", 1), ("3", 1), ("4", 2), ("200", 110)):
+        (report,) = a.read_reports([write(tmp_path / "x.csv", YEARLY | {"POSITON1": position})])
+        assert report.first == first
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "x.csv: is empty"),
+        ("a,b\n1,2\n", "x.csv: line 1: has no column RAILROAD or Reporting Railroad Code"),
+        (None, "x.csv: line 3: has 3 columns, fewer than line 1"),
+        ({"TRNSPD": "fast"}, "x.csv: line .*: TRNSPD: must be a number from 0 on, not 'fast'"),
+        ({"TONS": "-5"}, "x.csv: line .*: TONS: must be a number from 0 on, not '-5'"),
+        ({"LOADF1": "nan"}, "x.csv: line .*: LOADF1: .* not 'nan'"),
+        ({"LOADF1": "1e99"}, "x.csv: line .*: LOADF1: .* not '1e99'"),
+    ],
+    ids=["empty", "no columns", "short", "word", "negative", "nan", "huge"],
+)
+def test_a_file_that_is_wrong_is_told_by_line_and_column(tmp_path, capsys, text, words):
+    path = tmp_path / "x.csv"
+    if isinstance(text, dict):
+        write(path, YEARLY | text)
+    elif text is None:
+        write(path, YEARLY)
+        whole = path.read_text(encoding="latin-1").replace("\n x", "")
+        path.write_text(whole + '"a","b","c"\n', encoding="latin-1")
+    else:
+        path.write_text(text, encoding="latin-1")
+    with pytest.raises(a.AccidentFileError, match=words):
+        a.read_reports([path])
+    assert main(["accidents", str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert re.search(words, err)
+    assert (err.count("\n"), out) == (1, "")
+
+
+def test_binary_is_refused(tmp_path):
+    path = tmp_path / "x.db3"
+    path.write_bytes(bytes(range(256)) * 50)
+    with pytest.raises(a.AccidentFileError, match=r"x\.db3"):
+        a.read_reports([path])
+
+
+def test_groups(many):
+    reports = a.read_reports([many])
+    sizes = {name: sum(r in group for r in reports) for name, group in a.GROUPS.items()}
+    assert sizes == {
+        "all": 7, "broken_rail": 5, "broken_rail_long": 5, "broken_rail_long_loaded": 5
+    }  # fmt: skip
+    assert a.Group(behind=58).words == "all causes, 58 or more cars behind"
+    assert [r.behind for r in reports if r in a.Group(behind=58)] == [58, 58, 58, 58, 68, 58]
+    assert (
+        a.Group(("E53C",), 2, 0.5).words == "E53C, 2 or more cars behind, 50 % of the cars loaded"
+    )
+
+
+def test_averages(many):
+    slow, fast = a.by_speed(a.read_reports([many]))
+    assert (slow.reports, fast.reports) == (4, 3)
+    assert slow.mean == np.mean([4, 6, 1, 9])
+    assert slow.error == pytest.approx(np.std([4, 6, 1, 9], ddof=1) / 2.0)
+    assert slow.speed_kmh == pytest.approx(10.5 * 1.609344)
+    assert (fast.median, fast.q90) == (12.0, np.quantile([10, 12, 14], 0.9))
+    assert (slow.low_kmh, slow.high_kmh) == pytest.approx((5 * 1.609344, 15 * 1.609344))
+    (one,) = a.by_speed(a.read_reports([many])[:1])
+    assert one.error == 0.0
+
+
+def test_a_speed_at_a_limit_belongs_to_the_class_below(tmp_path):
+    rows = [YEARLY | {"INCDTNO": v, "TRNSPD": v} for v in ("5", "15", "16", "90", "91")]
+    reports = a.read_reports([write(tmp_path / "x.csv", *rows)])
+    numbers = [[r.number for r in chosen] for *_, chosen in a.in_classes(reports)]
+    assert numbers == [["15"], ["16"], ["90"]]
+
+
+def test_statistics_go_through_their_file(many, tmp_path, monkeypatch):
+    statistics = a.statistics_of(a.read_reports([many]))
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / a.SHIPPED).write_text(a.statistics_yaml(statistics), encoding="utf-8")
+    monkeypatch.setattr(a, "files", lambda _package: tmp_path)
+    again = a.load_statistics()
+    assert again.years == (2010, 2010)
+    for name, classes in statistics.groups.items():
+        for one, other in zip(classes, again.groups[name], strict=True):
+            assert vars(other) == pytest.approx(vars(one), abs=5e-4)
+
+
+def test_shipped_statistics(capsys):
+    statistics = a.load_statistics()
+    assert list(statistics.groups) == list(a.GROUPS)
+    counts = {name: sum(c.reports for c in g) for name, g in statistics.groups.items()}
+    assert list(counts.values()) == sorted(counts.values(), reverse=True)
+    for name in a.GROUPS:
+        for c in statistics.groups[name]:
+            assert c.low_kmh < c.speed_kmh <= c.high_kmh
+            assert c.mean >= 1.0
+            assert c.median <= c.q90
+            assert (c.error > 0.0) == (c.reports > 1)
+    assert main(["accidents", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["years"] == list(statistics.years)
+    assert told["groups"]["all"]["classes"][0]["reports"] == statistics.groups["all"][0].reports
+    assert main(["accidents"]) == 0
+    out = capsys.readouterr().out
+    for name in a.GROUPS:
+        words = a.GROUPS[name].words
+        assert f"{words[0].upper()}{words[1:]}: {counts[name]} reports" in out
+
+
+def test_the_train_of_a_report(tmp_path):
+    (report,) = a.read_reports([write(tmp_path / "x.csv", YEARLY)])
+    base = load_scenario("base_train")
+    train = reenact.train_of(base, report)
+    assert len(train.cars) == report.behind == 101
+    assert {c.mass for c in train.cars} == {report.mass_kg}
+    own = base.to_params()
+    for old, new in zip(own.cars, train.cars, strict=False):
+        assert new.inertia / new.mass == pytest.approx(old.inertia / old.mass)
+        assert replace(new, mass=old.mass, inertia=old.inertia) == old
+    # the signal of the brakes has as far to go as in a train of this length
+    lengths = [2.0 * c.pivot_distance + c.front.length + c.rear.length for c in train.cars]
+    assert train.cars[-1].brakes[0].distance == pytest.approx(sum(lengths[:-1]), rel=0.02)
+    assert train.initiation.speed == pytest.approx(report.speed_kmh / 3.6)
+    # at its own mass, speed and length it is the base train
+    same = replace(report, mass_kg=own.cars[0].mass, cars=60, first=1, speed_kmh=60.0)
+    assert reenact.train_of(base, same) == own
+
+
+def test_reenacted_counts_are_those_of_single_runs(many):
+    reports = reenact.sample(a.read_reports([many]), 100)
+    assert len(reports) == 6  # one has no mass
+    late = reenact.Way("late", "toma", {"brakes.delay_s": 10.0})
+    ways = (reenact.Way("now", "toma", {}), late)
+    seen = []
+    counts = reenact.reenact(reports, ways, jobs=2, progress=lambda *x: seen.append(x))
+    assert seen == [(k, 12) for k in range(1, 13)]
+    for settings, label in (({}, "now"), (late.settings, "late")):
+        base = load_scenario("base_train").with_overrides(settings)
+        alone = [run_model("toma", reenact.train_of(base, r)).record["cars_derailed"]
+                 for r in reports]  # fmt: skip
+        assert counts[label] == alone
+    assert sum(counts["late"]) > sum(counts["now"])
+    rows = reenact.averages(reports, counts)
+    assert [n for n, *_ in rows] == [4, 2]
+    n, speed, own, cells = rows[1]
+    assert own.mean == 12.0
+    assert cells["now"].mean == np.mean(counts["now"][4:])
+    assert cells["now"].error == pytest.approx(np.std(counts["now"][4:], ddof=1) / math.sqrt(n))
+
+
+def test_failed_runs_are_left_out_and_said(many):
+    reports = reenact.sample(a.read_reports([many]), 100)
+    counts = {"x": [2.0, None, 4.0, 6.0, None, None]}
+    slow, fast = reenact.averages(reports, counts)
+    assert (slow[3]["x"].mean, slow[3]["x"].failed) == (4.0, 1)
+    assert math.isnan(fast[3]["x"].mean)
+    assert fast[3]["x"].failed == 2
+    assert "x: 3 runs failed." in reenact.reenacted_table(reports, counts)
+
+
+def test_sample_takes_at_most_so_many_of_a_class_and_the_same_again(tmp_path):
+    rows = [YEARLY | {"INCDTNO": str(k), "TRNSPD": "40" if k < 50 else "10"} for k in range(55)]
+    reports = a.read_reports([write(tmp_path / "x.csv", *rows)])
+    few = reenact.sample(reports, 10, seed=3)
+    assert sorted(r.speed_kmh > 50 for r in few) == [False] * 5 + [True] * 10
+    assert few == reenact.sample(reports, 10, seed=3)
+    assert few != reenact.sample(reports, 10, seed=4)
+    assert len(set(few)) == 15
+
+
+def test_agreement():
+    reports = [replace(REPORT, derailed=n, speed_kmh=v) for n, v in ((2, 90), (4, 20), (12, 50))]
+    found = reenact.agreement(reports, [4.0, 5.0, 30.0])
+    assert found["trains"] == 3
+    assert found["ratio"] == pytest.approx(39 / 18)
+    assert found["rank"] == pytest.approx(1.0)
+    assert found["rank_speed"] == pytest.approx(-0.5)
+    assert found["within"] == pytest.approx(2 / 3)  # twice as many still counts
+    assert reenact.agreement(reports, [4.0, None, 30.0])["trains"] == 2
+
+
+REPORT = a.Report("X", "1", 2010, 60.0, 60, 60, 10, 1, 100e3, "T207")
+
+
+PLAN = reenact.Plan(
+    most=2, every=2, group=a.Group(a.BROKEN_RAIL, behind=30),
+    ways=(reenact.WAYS[0], reenact.WAYS[1], reenact.WAYS[-1]),
+)  # fmt: skip
+
+
+def cells(text, block, row):
+    """A row of a table of a block."""
+    part = text.split(page.BEGIN.format(block))[1].split(page.END)[0]
+    line = next(x for x in part.splitlines() if x.startswith(f"| {row} |"))
+    return [c.strip() for c in line.strip("|").split("|")][1:]
+
+
+def test_the_page(many, tmp_path, capsys, monkeypatch):
+    from derail_ros.commands import accidents as command
+
+    path = tmp_path / "page.md"
+    path.write_text((ROOT / "docs" / "accidents.md").read_text(encoding="utf-8"), encoding="utf-8")
+    for block in reenact.NAMES:  # nothing of what stands there is kept
+        path.write_text(page.fill(path.read_text(), {block: "OLD"}), encoding="utf-8")
+    monkeypatch.setattr(reenact, "Plan", lambda: PLAN)
+    monkeypatch.setattr(a, "__file__", str(tmp_path / "accidents.py"))
+    (tmp_path / "data").mkdir()
+    assert command.write_page([many], path, 0, 2, False) == 0
+    capsys.readouterr()
+    text = path.read_text(encoding="utf-8")
+    assert "OLD" not in text
+    results = reenact.compute(a.read_reports([many]), PLAN, 0)
+    assert cells(text, "broken_rail", "trains") == ["2", "1"]
+    own = [np.mean([r.derailed for r in results.reports if (r.speed_kmh > 30) == fast])
+           for fast in (False, True)]  # fmt: skip
+    assert [float(c.split(" ")[0]) for c in cells(text, "broken_rail", "*reported*")] == own
+    label = PLAN.ways[1].label
+    expected = np.mean(results.counts[label][:2])
+    assert cells(text, "broken_rail", label)[0].startswith(f"{expected:.1f}")
+    assert cells(text, "all_causes", "trains") == ["2", "2"]
+    ratio = sum(results.counts[label]) / sum(r.derailed for r in results.reports)
+    assert cells(text, "agreement", label)[0] == f"{ratio:.2f}"
+    assert "7 freight trains derailed" in text
+    images = {p.name for p in (tmp_path / "images").iterdir()}
+    assert images == set(reenact.figures(results))
+    assert (tmp_path / "data" / a.SHIPPED).is_file()
+
+
+def test_the_page_has_a_place_for_every_result():
+    text = (ROOT / "docs" / "accidents.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"<!-- results: (\w+) -->", text)) == set(reenact.NAMES)
+    images = re.findall(r"\((images/[a-z0-9_]+\.png)\)", text)
+    assert len(images) == 2
+    for image in images:
+        assert (ROOT / "docs" / image).stat().st_size > 5000
+
+
+def test_models_by_the_command(many, capsys):
+    assert main(["accidents", str(many), "--broken-rail", "-m", "toma", "-m", "blockage",
+                 "--set", "brakes.delay_s=10", "-j", "1", "--json"]) == 0  # fmt: skip
+    told = json.loads(capsys.readouterr().out)
+    assert told["group"] == "broken rail"
+    assert [c["trains"] for c in told["classes"]] == [3, 1]
+    reports = [r for r in a.read_reports([many]) if r in a.Group(a.BROKEN_RAIL) and r.mass_kg]
+    base = load_scenario("base_train").with_overrides({"brakes.delay_s": 10.0})
+    last = run_model("toma", reenact.train_of(base, reports[-1])).record["cars_derailed"]
+    assert told["classes"][1]["models"]["toma"]["mean"] == last
+    assert main(["accidents", str(many), "-m", "toma", "--most", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "means of 2 trains: all causes" in out
+    assert "of the reported cars; rank correlation" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--broken-rail"], "name their files"),
+        (["-m", "toma"], "name their files"),
+        (["{many}", "--broken-rail", "--cause", "T207"], "--broken-rail and --cause"),
+        (["{many}", "--set", "train.speed_kmh=60"], "--set: is for the trains"),
+        (["{many}", "-m", "tome"], "--model: there is no 'tome'"),
+        (["{many}", "-m", "toma", "--set", "brakes.delay=3"], "brakes.delay: unknown key"),
+        (["{many}", "--cause", "Z9"], "no freight train derailed on main track: Z9"),
+        (["{many}", "--behind", "500"], "500 or more cars behind"),
+        (["/no/such.csv"], "/no/such.csv: No such file"),
+        (["--write"], "name the files"),
+        (["{many}", "--write", "--behind", "3"], "page's own cases"),
+        (["{many}", "--write", "--to", "/no/such/page.md"], "/no/such"),
+        (["{many}", "--write", "--to", "{many}"], "has no place for the results about"),
+    ],
+)
+def test_mistakes_are_one_line_before_the_first_run(many, capsys, arguments, word):
+    before = many.read_bytes()
+    assert main(["accidents", *(x.replace("{many}", str(many)) for x in arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert word in err
+    assert (err.count("\n"), out) == (1, "")
+    assert many.read_bytes() == before
