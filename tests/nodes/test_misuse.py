@@ -13,7 +13,7 @@ pytest.importorskip("derail_msgs")
 
 from derail_ros.cli import main
 from derail_ros.recording import read_manifest
-from tests.nodes.graph import Graph, Process, graph
+from tests.nodes.graph import DEEP, Graph, Process, graph
 from tests.nodes.support import ENDLESS
 
 pytestmark = pytest.mark.ros
@@ -64,7 +64,7 @@ def test_mixed_calls_from_four_clients(tmp_path, capsys, calls) -> None:
     (scenarios / "endless.yaml").write_text(ENDLESS)
     with graph(tmp_path) as made:
         simulator = made.simulator(
-            scenario="endless", scenario_dirs=f"['{scenarios}']", record=tmp_path / "bag"
+            scenario="endless", scenario_dirs=f"['{scenarios}']", record=tmp_path / "bag", **DEEP
         )
         made.listen("events", "train_state")
         pid = simulator.process.pid
