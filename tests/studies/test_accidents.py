@@ -282,7 +282,7 @@ REPORT = a.Report("X", "1", 2010, 60.0, 60, 60, 10, 1, 100e3, "T207")
 
 PLAN = reenact.Plan(
     most=2, every=2, group=a.Group(a.BROKEN_RAIL, behind=30),
-    ways=(reenact.WAYS[0], reenact.WAYS[1], reenact.WAYS[-1]),
+    ways=(reenact.WAYS[0], reenact.WAYS[1], reenact.WAYS[-1]), matched=reenact.WAYS[1].label,
 )  # fmt: skip
 
 
