@@ -201,7 +201,7 @@ class Result:
     status : how it ended, "running" or "cut off" if it is not known
     final : the recording holds the end of the run
     void : not a valid run: more cars must be modelled
-    time, duration : run time and time to rest, s
+    time, duration : run time and time to rest (nan: it did not come to rest), s
     steps, rejected : integration steps
     derailed : car numbers
     derail_time, derail_speed : (N,) s, m/s
@@ -593,8 +593,9 @@ class _Reader:
             return run_ids[index]
         found = [r for r in run_ids if r.startswith(self.run)]
         if len(found) != 1:
+            many = f"{len(found)} runs begin" if found else "no run begins"
             raise OtherTopicsError(
-                f"{self.bag.path}: {len(found)} runs begin with {self.run!r};"
+                f"{self.bag.path}: {many} with {self.run!r};"
                 f" there are {', '.join(r[:8] for r in run_ids)}"
             )
         return found[0]
@@ -964,7 +965,8 @@ def result_of(m: Any, run: Run) -> Result:
             final=True,
             void=bool(m.is_void),
             time=float(m.time),
-            duration=float(m.duration),
+            # The message gives the run time where nothing came to rest.
+            duration=float(m.duration) if m.status_name == "at rest" else math.nan,
             steps=int(m.step),
             rejected=int(m.rejected_steps),
             derailed=tuple(int(c) for c in m.derailed_cars),

@@ -340,7 +340,7 @@ def _outcome(run: Run) -> list[str]:
     if math.isfinite(r.duration):
         rows.append((status, f"after {r.duration:.2f} s"))
     else:
-        rows.append((status, f"{r.time:.2f} s"))
+        rows.append((status, f"at {r.time:.2f} s, not at rest"))
     if r.peak_pair[0]:
         a, b = r.peak_pair
         rows.append(
@@ -359,7 +359,8 @@ def _outcome(run: Run) -> list[str]:
         stop = f" at {r.rear_stop:.1f} m" if math.isfinite(r.rear_stop) else ""
         # Without a parted coupling ahead of it there is no part that stands by itself.
         parted = not run.coupled[-1][: r.rear_car - 1].all()
-        label = "rear part stands" if parted else "still on the rails"
+        stands = "rear part stands" if math.isfinite(r.duration) else "rear part"
+        label = stands if parted else "still on the rails"
         rows.append((label, f"from car {r.rear_car} on, its front truck{stop}"))
     return [f"  {label:<20}{value}" for label, value in rows]
 

@@ -142,6 +142,13 @@ def collision(c: Contact) -> str:
     )
 
 
+NOT_AT_REST = {
+    "running": "still running at",
+    "time limit": "not yet at rest at the time limit of",
+}
+"""Status of a run that has no time to rest -> how it ended, before the time."""
+
+
 def sentence(run: Run) -> str:
     """The outcome in a line."""
     r = run.result
@@ -150,7 +157,7 @@ def sentence(run: Run) -> str:
     if math.isfinite(r.duration):
         text += f", at rest after {r.duration:.1f} s"
     elif r.status:
-        text += f", {r.status} at {r.time:.1f} s"
+        text += f", {NOT_AT_REST.get(r.status, r.status + ' at')} {r.time:.1f} s"
     if r.peak_force > 0.0 and r.peak_pair[0]:
         a, b = r.peak_pair
         text += (

@@ -17,9 +17,11 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from derail_ros import cli
+from derail_ros.recording import record_run
 from derail_ros.review import comparison, figures, film, histories, plots, summary, words
 from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag
 from msg_adapters.definitions import deserialize
+from tests.nodes.support import SMALL, simulation, small
 
 
 def refuses(text: str, arguments: list[str], capsys) -> None:
@@ -374,6 +376,27 @@ def test_numbers_in_a_film_can_be_read(run, monkeypatch, metres) -> None:
     for k, box in enumerate(boxes):
         for other in boxes[:k]:
             assert not box.overlaps(other)
+
+
+def test_a_run_that_its_time_limit_ends_is_not_said_to_be_at_rest(tmp_path, run: Run) -> None:
+    text = SMALL + "\nintegration: {time_limit_s: 2.0}\n"
+    record_run(simulation(text), small(text), tmp_path / "cut")
+    cut = read_bag(tmp_path / "cut")
+    assert cut.result.status == "time limit"
+    assert cut.result.final
+    facts = summary.findings(cut)["outcome"]
+    assert facts["duration_s"] is None
+    assert f"not yet at rest at the time limit of {cut.result.time:.1f} s" in facts["text"]
+    said = summary.text(cut)
+    assert f"at {cut.result.time:.2f} s, not at rest" in said
+    for wrong in ("at rest after", "rear part stands"):
+        assert wrong not in said
+    assert f"at rest after {run.result.duration:.1f} s" in summary.text(run)
+
+
+@pytest.mark.parametrize(("prefix", "words"), [("zz", "no run begins with 'zz'")])
+def test_a_run_that_is_not_there(bag, tmp_path, capsys, prefix, words) -> None:
+    refuses(words, ["review", str(bag), "-o", str(tmp_path / "x"), "--run", prefix], capsys)
 
 
 def test_the_rear_part_is_one_only_where_the_train_parted(run) -> None:
