@@ -33,12 +33,13 @@ INTERRUPTED = 130
 GIVE_UP = 300.0
 """Wall time after which the demonstration gives up, s."""
 
-ACCIDENT = {"cars": "24", "scene": "132 x 39 m", "duration": "", "force": ""}
+ACCIDENT = {"cars": "24", "scene": "132 m × 39 m", "duration": "-", "force": "-", "pair": "-"}
 PUBLISHED = {
     "cars": "24",
-    "scene": "109 x 41.7 m",
+    "scene": "109 m × 42 m",
     "duration": "25.3 s",
-    "force": "23.1 MN, car 11 into 9",
+    "force": "23.1 MN",
+    "pair": "car 11 into 9",
 }
 """What is known of the accident, and the published model (E. E. Toma, 1998)."""
 
@@ -238,12 +239,13 @@ def comparison(outcome: Any, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
 
-    pair = f", car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else ""
+    pair = f"car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else "-"
     here = {
         "cars": str(outcome.cars_derailed),
-        "scene": f"{outcome.scene_length:.0f} x {outcome.scene_width:.0f} m",
+        "scene": f"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m",
         "duration": f"{outcome.duration:.1f} s",
-        "force": f"{outcome.peak_corner_force / 1e6:.1f} MN{pair}",
+        "force": f"{outcome.peak_corner_force / 1e6:.1f} MN",
+        "pair": pair,
     }
     columns = {"this run": here}
     if scenario.startswith(SCENARIO):
@@ -254,9 +256,10 @@ def comparison(outcome: Any, scenario: str) -> Any:
         table.add_column(name)
     for key, label in (
         ("cars", "cars derailed"),
-        ("scene", "scene, length x width"),
+        ("scene", "scene"),
         ("duration", "duration"),
         ("force", "largest collision force"),
+        ("pair", "between"),
     ):
         table.add_row(label, *(values[key] for values in columns.values()))
     return table
