@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -183,6 +184,8 @@ def last_messages(bag: Path) -> dict[str, Any]:
 
 def scene(last: dict[str, Any], title: str) -> Any:
     """The scene at the end of a recording."""
+    from derail_ros.review import words
+    from derail_ros.review.bag import rest_time
     from derail_ros.review.scene import Scene
 
     consist, state, outcome, track = (
@@ -211,7 +214,8 @@ def scene(last: dict[str, Any], title: str) -> Any:
         scene_area=outcome.scene_area,
         straight=straight,
         title=title,
-        subtitle=f"{outcome.cars_derailed} cars derailed, {outcome.duration:.1f} s",
+        subtitle=f"{words.derailed(outcome.cars_derailed)}, "
+        + words.ending(outcome.status_name, outcome.time, rest_time(outcome)),
     )
 
 
@@ -239,18 +243,22 @@ def comparison(outcome: Any, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
 
+    from derail_ros.review import words
+    from derail_ros.review.bag import rest_time
+
+    rest = rest_time(outcome)
     pair = f"car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else "-"
     here = {
         "cars": str(outcome.cars_derailed),
         "scene": f"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m",
-        "duration": f"{outcome.duration:.1f} s",
+        "duration": "-" if math.isnan(rest) else f"{rest:.1f} s",
         "force": f"{outcome.peak_corner_force / 1e6:.1f} MN",
         "pair": pair,
     }
     columns = {"this run": here}
     if scenario.startswith(SCENARIO):
         columns |= {"the accident": ACCIDENT, "published model": PUBLISHED}
-    table = Table(title=f"{scenario}: {outcome.status_name} at {outcome.time:.1f} s")
+    table = Table(title=f"{scenario}: {words.ending(outcome.status_name, outcome.time, rest)}")
     table.add_column("")
     for name in columns:
         table.add_column(name)

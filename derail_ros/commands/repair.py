@@ -6,6 +6,7 @@ from pathlib import Path
 
 from derail_ros.commands.common import OK
 from derail_ros.commands.review import bag_errors, warn
+from derail_ros.counts import count
 
 
 def run(bag: str, output: Path | None) -> int:
@@ -17,10 +18,13 @@ def run(bag: str, output: Path | None) -> int:
     warn(done.warnings, Path(bag))
     total = sum(done.counts.values())
     if done.was_whole:
-        print(f"{done.path}: whole, with {total} messages: nothing to repair, nothing written")
+        print(
+            f"{done.path}: whole, with {count(total, 'message')}: "
+            "nothing to repair, nothing written"
+        )
         return OK
     print(
-        f"{done.path}: {total} messages on {len(done.counts)} topics,"
+        f"{done.path}: {count(total, 'message')} on {count(len(done.counts), 'topic')},"
         f" {done.first * 1e-9:.2f} s to {done.last * 1e-9:.2f} s"
     )
     return OK

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.review import bag_errors
+from derail_ros.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
@@ -96,10 +97,9 @@ def _manifest(path: Path) -> Manifest:
 
 
 def _line(result: Any) -> str:
-    plural = "" if result.commands == 1 else "s"
     text = (
-        f"{result.run_id[:8]} {result.scenario}: {result.commands} command{plural}, "
-        f"{result.steps} steps, {result.time:.3f} s, {result.status}: "
+        f"{result.run_id[:8]} {result.scenario}: {count(result.commands, 'command')}, "
+        f"{count(result.steps, 'step')}, {result.time:.3f} s, {result.status}: "
     )
     if result.differences:
         return text + "differs"
@@ -107,7 +107,7 @@ def _line(result: Any) -> str:
     if result.same_state:
         proofs.append("the final state")
     if result.events is not None:
-        proofs.append(f"{result.events} events and {result.contacts} contacts")
+        proofs.append(f"{count(result.events, 'event')} and {count(result.contacts, 'contact')}")
     if not proofs:
         return text + "computed again; nothing was recorded to compare with"
     return text + " and ".join(proofs) + " are the same to the bit"

@@ -8,6 +8,7 @@ from typing import Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 
 def run(
@@ -53,7 +54,7 @@ def run(
         _print(study)
     if study.failed:
         errors = sorted({text for e in study.effects for text in e.errors})
-        note(f"derail: {study.failed} runs failed: {'; '.join(errors)}")
+        note(f"derail: {count(study.failed, 'run')} failed: {'; '.join(errors)}")
     return FAILED if study.failed else OK
 
 

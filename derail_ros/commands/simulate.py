@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 from derail_ros.studies.ensemble import (
     VARIATION,
     Result,
@@ -148,7 +149,7 @@ def _first(
 
     def show(running: Simulation) -> None:
         derailed = len(running.outcome().derailed_cars)
-        bars.update(task, state=f"{running.time:.1f} s, {derailed} cars derailed")
+        bars.update(task, state=f"{running.time:.1f} s, {count(derailed, 'car')} derailed")
 
     began = time.perf_counter()
     from derail_ros.engine import SimulationError
@@ -272,13 +273,15 @@ NOT_AT_REST = "the run ended at its time limit, not at rest (integration.time_li
 def sentence(outcome: Outcome) -> str:
     """An outcome in a line."""
     n = outcome.cars_derailed
-    text = f"{n} car{'' if n == 1 else 's'} derailed"
+    text = f"{count(n, 'car')} derailed"
     if outcome.duration == outcome.duration:  # not nan
         text += (
             f", cut off at the time limit at {outcome.duration:.1f} s"
             if outcome.status == CUT_OFF
             else f", at rest after {outcome.duration:.1f} s"
         )
+    else:
+        text += f", {outcome.status} at {outcome.time:.1f} s"
     if outcome.peak_force_pair is not None:
         a, b = outcome.peak_force_pair
         text += (
@@ -403,7 +406,7 @@ def _one(record: Record) -> Any:
         if key == "peak_force_N" and record["peak_force_pair"] is not None:
             a, b = record["peak_force_pair"]
             text += f"  (car {a} into car {b})"
-        if key == "duration_s" and cut_off:
+        if key in ("duration_s", "rear_stop_m") and value is not None and cut_off:
             text += "  (cut off)"
         table.add_row(label, text)
     if words := stopped_by(record):
@@ -430,7 +433,7 @@ def _many(report: Record) -> Any:
         mean, sd = report["mean"].get(key), report["sd"].get(key)
         cells = (mean, sd, min(values), max(values), first.get(key))
         table.add_row(label, *("-" if c is None else format(c * factor, form) for c in cells))
-    counts = f"{report['members']} runs"
+    counts = count(report["members"], "run")
     if report["void"]:
         counts += f", {report['void']} void and left out"
     if report["failed"]:

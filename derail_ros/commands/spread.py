@@ -8,6 +8,7 @@ from typing import Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 
 def run(
@@ -76,7 +77,7 @@ def run(
     failed = sum(one.failed for one in spreads)
     if failed:
         errors = sorted({text for one in spreads for text in one.errors})
-        note(f"derail: {failed} runs failed: {'; '.join(errors)}")
+        note(f"derail: {count(failed, 'run')} failed: {'; '.join(errors)}")
     return FAILED if failed else OK
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, INTERRUPTED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.studies.results import StudyResults
@@ -56,7 +57,7 @@ def run(
     study = study.changed(ensemble=ensemble, seed=seed, points=points)
     study = study.with_overrides(dict(parse_set(text) for text in settings))
     design = make(study)
-    where = f"the cluster at {dask}" if dask else _cores(jobs or default_jobs())
+    where = f"the cluster at {dask}" if dask else count(jobs or default_jobs(), "core")
     if check_only:
         check(design)
         print(f"{study.name}: {design.size()}; every point can be run")
@@ -87,10 +88,6 @@ def run(
             INTERRUPTED,
         ) from None
     return _answer(folder, as_json)
-
-
-def _cores(n: int) -> str:
-    return f"{n} core{'' if n == 1 else 's'}"
 
 
 def show(folder: Path, as_json: bool) -> int:
@@ -176,7 +173,7 @@ def _answer(folder: Path, as_json: bool) -> int:
     if failed:
         row = results.table[results.table["status"] == "failed"].iloc[0]
         note(
-            f"derail: {failed} runs failed; the first, point {row['point']} member "
+            f"derail: {count(failed, 'run')} failed; the first, point {row['point']} member "
             f"{row['member']}: {row['error']}"
         )
     return FAILED if failed == len(results.table) else OK

@@ -8,6 +8,7 @@ from typing import Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 
 def run(
@@ -45,7 +46,7 @@ def run(
     failed = sum(c.failed for c in (*result.cases, *result.doubtful, *result.beside))
     if failed:
         errors = {e for c in (*result.cases, *result.doubtful, *result.beside) for e in c.errors}
-        note(f"derail: {failed} runs failed: {'; '.join(sorted(errors))}")
+        note(f"derail: {count(failed, 'run')} failed: {'; '.join(sorted(errors))}")
     return FAILED if failed else OK
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import derail_ros
+from derail_ros.counts import count
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.process import Stop, run_node, starting
 from derail_ros.recording.listener import Listener
@@ -102,11 +103,12 @@ def make_node_class() -> Any:
                 received = sum(counts["received"] for counts in report.values())
                 missed = {n: c for n, c in report.items() if c["lost"] or c["gaps"]}
                 self.get_logger().info(
-                    f"{received} messages received" + ("" if missed else ", no message missed")
+                    f"{count(received, 'message')} received"
+                    + ("" if missed else ", no message missed")
                 )
                 for name, counts in missed.items():
                     self.get_logger().warning(
-                        f"{name}: {counts['lost']} messages missed by their numbers, "
+                        f"{name}: {count(counts['lost'], 'message')} missed by their numbers, "
                         f"{counts['gaps']} by their times"
                     )
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from derail_ros.counts import count
 from derail_ros.engine import Command, Simulation
 from derail_ros.engine.errors import CommandError, SimulationError
 from derail_ros.engine.events import EventKind
@@ -209,7 +210,7 @@ def replay_run(entry: RunEntry, told: Told | None = None) -> Replayed:
     except CommandError as error:
         differences.append(f"refuses a command at step {simulation.step_count}: {error}")
     if simulation.step_count != steps:
-        differences.append(f"ends after {simulation.step_count} steps, not {steps}")
+        differences.append(f"ends after {count(simulation.step_count, 'step')}, not {steps}")
     if entry.status in ENDS and simulation.status != entry.status:
         differences.append(f"ends {simulation.status!r}, not {entry.status!r}")
     same_state = None
@@ -220,8 +221,9 @@ def replay_run(entry: RunEntry, told: Told | None = None) -> Replayed:
     if told is not None:
         differences += _compare(simulation, told)
         if differences and (unknown := _asked(told) - len(commands)) > 0:
-            plural = "" if unknown == 1 else "s"
-            differences.append(f"{unknown} command{plural} known from events only, not in the log")
+            differences.append(
+                f"{count(unknown, 'command')} known from events only, not in the log"
+            )
     return Replayed(
         run_id=entry.run_id,
         scenario=entry.scenario_name,
@@ -255,7 +257,7 @@ def _compare(simulation: Simulation, told: Told) -> list[str]:
             found.append(f"event {n + 1} of {len(told.events)} is another one: {mine.kind.name}")
             break
     if len(events) < len(told.events):
-        found.append(f"{len(events)} events instead of {len(told.events)}")
+        found.append(f"{count(len(events), 'event')} instead of {len(told.events)}")
     contacts = {c.id: repr(c) for c in simulation.collisions}
     # A contact that the end of a recorded run has closed may go on here.
     others = [c for c in told.contacts if contacts.get(c.id) != repr(c)]

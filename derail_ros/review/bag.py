@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from derail_ros.counts import count
 from derail_ros.review.scene import Scene
 from derail_ros.review.sound import believable
 from derail_ros.review.storage import (
@@ -617,9 +618,9 @@ class _Reader:
                 continue
             self._take(got, channel.msgtype.rpartition("/")[2], message)
         if self.broken:
-            self.bag.warn(f"{_messages(self.broken)} cannot be read")
+            self.bag.warn(f"{count(self.broken, 'message')} cannot be read")
         if self.absurd:
-            self.bag.warn(f"{_messages(self.absurd)} with impossible numbers left out")
+            self.bag.warn(f"{count(self.absurd, 'message')} with impossible numbers left out")
         return got
 
     def _alike(self, got: _Collected, kind: str, m: Any) -> bool:
@@ -680,7 +681,9 @@ class _Reader:
     def _assemble(self, run_id: str, run_ids: list[str], got: _Collected) -> Run:
         bag = self.bag
         left = (
-            f"; {_messages(self.absurd)} with impossible numbers left out" if self.absurd else ""
+            f"; {count(self.absurd, 'message')} with impossible numbers left out"
+            if self.absurd
+            else ""
         )
         if got.consist is None:
             raise OtherTopicsError(
@@ -696,7 +699,7 @@ class _Reader:
         time, pose, velocity, coupler, trucks, brake, force, stamp = got.states.columns()
         if pose.shape[1] != n:
             raise OtherTopicsError(
-                f"{bag.path}: states of {pose.shape[1]} cars, but a consist of {n}"
+                f"{bag.path}: states of {count(pose.shape[1], 'car')}, but a consist of {n}"
             )
         if got.track is None:
             bag.warn("no track: a straight one is assumed")
@@ -705,14 +708,14 @@ class _Reader:
         events = tuple(sorted(got.events.values(), key=lambda e: (e.time, e.sequence)))
         lost = (max(got.events) + 1 - len(got.events)) if got.events else 0
         if lost:
-            bag.warn(f"{lost} events are missing")
+            bag.warn(_missing(lost, "event"))
         coupled = self._coupled(got, events, time, n)
         if got.couplings.count == 0 and n > 1:
             bag.warn("no coupler states: couplings are known from the events only")
         contacts = tuple(sorted(got.contacts.values(), key=lambda c: c.id))
         lost = (max(got.contacts) + 1 - len(got.contacts)) if got.contacts else 0
         if lost:
-            bag.warn(f"{lost} collisions are missing")
+            bag.warn(_missing(lost, "collision"))
         if got.states.every > 1:
             bag.warn(f"long: of the states every {got.states.every}th is shown")
         self._gaps(time, got.states.every)
@@ -800,7 +803,7 @@ class _Reader:
         missing = int(np.maximum(np.round(steps / usual) - 1, 0).sum()) if usual > 0.0 else 0
         if missing:
             bag_share = missing / (missing + len(time))
-            self.bag.warn(f"{missing} states are missing ({100.0 * bag_share:.1f} %)")
+            self.bag.warn(f"{_missing(missing, 'state')} ({100.0 * bag_share:.1f} %)")
 
     def _manifest(self) -> dict[str, Any]:
         if self.manifest:
@@ -813,8 +816,8 @@ class _Reader:
             return {}
 
 
-def _messages(count: int) -> str:
-    return f"{count} message{'' if count == 1 else 's'}"
+def _missing(n: int, noun: str) -> str:
+    return f"{count(n, noun)} {'is' if n == 1 else 'are'} missing"
 
 
 def _pair(a: int, b: int, n: int) -> bool:
@@ -957,6 +960,11 @@ _EMPTY = Result(
 )
 
 
+def rest_time(m: Any) -> float:
+    """Time to rest, s; nan where a run ended without: its outcome gives the run time there."""
+    return float(m.duration) if m.status_name == "at rest" else math.nan
+
+
 def result_of(m: Any, run: Run) -> Result:
     """The outcome as recorded at the end, or worked out from what was recorded before."""
     if m is not None and m.is_final and len(m.car_peak_force) == run.n:
@@ -965,8 +973,7 @@ def result_of(m: Any, run: Run) -> Result:
             final=True,
             void=bool(m.is_void),
             time=float(m.time),
-            # The message gives the run time where nothing came to rest.
-            duration=float(m.duration) if m.status_name == "at rest" else math.nan,
+            duration=rest_time(m),
             steps=int(m.step),
             rejected=int(m.rejected_steps),
             derailed=tuple(int(c) for c in m.derailed_cars),
@@ -1011,11 +1018,12 @@ def _derived(m: Any, run: Run) -> Result:
     derailed = run.derailed[-1] & run.cars.real
     box = scene_box(run.cars, run.pose[-1], derailed, run.line)
     ended = next((e for e in reversed(run.events) if e.kind.startswith("run_ended")), None)
+    status = CUT_OFF if ended is None else "stopped" if ended.cause == "command" else ended.cause
     residual = run.energy.get("residual")
     initial = float(run.energy["initial"][0]) if run.energy else 0.0
     return replace(
         _EMPTY,
-        status=ended.cause if ended is not None else CUT_OFF,
+        status=status,
         void=any(e.kind == "run_void" for e in run.events),
         time=float(run.time[-1]),
         duration=ended.value if ended is not None and ended.cause == "at rest" else math.nan,

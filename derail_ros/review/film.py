@@ -244,7 +244,7 @@ class _Stage:
                 text.set_position((told[k].x, told[k].y + lift))
         self.clock.set_text(f"{time:.2f} s")
         hardest = float(scene.peak_force.max(initial=0.0))
-        line = f"{int((scene.derailed & real).sum())} cars derailed"
+        line = words.derailed(int((scene.derailed & real).sum()))
         if hardest > 0.0:
             line += f", largest force {words.force(hardest)}"
         self.facts.set_text(line)

@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from derail_ros.counts import count
+
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
 LARGEST_RECORD = 1 << 29
@@ -128,7 +130,9 @@ class RawBag:
         except GeneratorExit:
             raise
         except Exception as error:  # whatever a damaged file makes rosbags raise
-            self.warn(f"damaged: {_line(error)}; {read} messages before that were read")
+            self.warn(
+                f"damaged: {_line(error)}; {count(read, 'message')} before that could be read"
+            )
 
 
 def _line(error: BaseException) -> str:

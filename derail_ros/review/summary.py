@@ -261,7 +261,9 @@ def findings(run: Run) -> dict[str, Any]:
             "cars_above_5MN": list(r.above_5MN),
             "cars_above_10MN": list(r.above_10MN),
             "rear_part_first_car": r.rear_car or None,
-            "rear_part_stopped_at_m": number(r.rear_stop),
+            "rear_part_stopped_at_m": number(
+                r.rear_stop if math.isfinite(r.duration) else math.nan
+            ),
             "max_coupler_gap_m": number(r.max_gap),
             "energy_residual": number(r.residual),
             "severity": number(r.severity),

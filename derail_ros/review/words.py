@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from derail_ros.counts import count
 from derail_ros.review.bag import Contact, Happening, Run
 
 ENERGY_TAKERS: dict[str, str] = {
@@ -145,19 +146,32 @@ def collision(c: Contact) -> str:
 NOT_AT_REST = {
     "running": "still running at",
     "time limit": "not yet at rest at the time limit of",
+    "stopped": "ended by a command at",
+    "failed": "the computation failed at",
+    "cut off": "the recording cut off at",
 }
 """Status of a run that has no time to rest -> how it ended, before the time."""
+
+
+def derailed(n: int) -> str:
+    """``no car derailed``, ``1 car derailed``, ``24 cars derailed``."""
+    return "no car derailed" if n == 0 else f"{count(n, 'car')} derailed"
+
+
+def ending(status: str, time: float, duration: float) -> str:
+    """How a run ended: ``at rest after 25.3 s``; the duration is nan where nothing rested."""
+    if math.isfinite(duration):
+        return f"at rest after {duration:.1f} s"
+    return f"{NOT_AT_REST.get(status, status + ' at')} {time:.1f} s"
 
 
 def sentence(run: Run) -> str:
     """The outcome in a line."""
     r = run.result
     n = len(r.derailed)
-    text = "no car derailed" if n == 0 else f"{n} car{'' if n == 1 else 's'} derailed"
-    if math.isfinite(r.duration):
-        text += f", at rest after {r.duration:.1f} s"
-    elif r.status:
-        text += f", {NOT_AT_REST.get(r.status, r.status + ' at')} {r.time:.1f} s"
+    text = derailed(n)
+    if math.isfinite(r.duration) or r.status:
+        text += f", {ending(r.status, r.time, r.duration)}"
     if r.peak_force > 0.0 and r.peak_pair[0]:
         a, b = r.peak_pair
         text += (

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from derail_ros.counts import count
 from derail_ros.scenario import Scenario, ScenarioError
 from derail_ros.studies.orders import reorder
 from derail_ros.studies.plan import (
@@ -112,7 +113,7 @@ class Design(Sequence[Point]):
     def size(self) -> str:
         """The number of runs in words."""
         n, e = len(self), self.study.model.ensemble
-        return f"{n} points x {e} runs = {self.runs} runs"
+        return f"{n} points x {count(e, 'run')} = {self.runs} runs"
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
@@ -219,7 +220,7 @@ class Sobol(Sampled):
         n, d, e = self.study.model.points, len(self.axes), self.study.model.ensemble
         return (
             f"N (2 D + 2) = {n} x (2 x {d} + 2) = {len(self)} points"
-            f" x {e} run{'' if e == 1 else 's'} = {self.runs} runs"
+            f" x {count(e, 'run')} = {self.runs} runs"
         )
 
 

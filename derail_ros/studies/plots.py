@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from derail_ros.counts import count
 from derail_ros.review.figures import BLUE, FAINT, INK, STYLE, VERMILION
 from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
@@ -142,8 +143,7 @@ def _words(results: StudyResults, column: str) -> str:
 
 
 def _ensemble(results: StudyResults) -> str:
-    n = results.manifest["ensemble"]
-    return f"{n} run{'' if n == 1 else 's'} a point"
+    return f"{count(results.manifest['ensemble'], 'run')} a point"
 
 
 # --- one at a time ----------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from derail_ros.counts import count
 from derail_ros.studies.design import Design, Point, check, make, scenario_at
 from derail_ros.studies.ensemble import Result, Run, compute, member_factor, run_many
 from derail_ros.studies.journal import Journal, JournalError, Results
@@ -131,7 +132,9 @@ def run_study(
                             progress("run", done, len(results))
             journal.sync()
             if results.missing:
-                raise StudyError(f"{results.missing} runs did not come back; run it again")
+                raise StudyError(
+                    f"{count(results.missing, 'run')} did not come back; run it again"
+                )
             path = folder / TABLES[table]
             write_table(frame(design, results), path)
             manifest["wall_s"] = round(manifest["wall_s"] + time.monotonic() - began, 3)

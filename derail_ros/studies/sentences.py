@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from derail_ros.counts import count
 from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.measures import MEASURES, shown
@@ -43,16 +44,17 @@ def _state(results: StudyResults) -> list[str]:
     manifest = results.manifest
     if not results.complete:
         found.append(
-            f"The study is not finished: {len(results.table)} of {manifest['runs']} runs are here."
+            f"The study is not finished: {len(results.table)} of {manifest['runs']} runs "
+            f"{_are(len(results.table))} here."
         )
     failed = int((results.table["status"] == "failed").sum())
     void = int((results.table["status"] == "void").sum())
     if failed:
-        found.append(f"{_runs(failed)} failed and {_are(failed)} left out.")
+        found.append(f"{count(failed, 'run')} failed and {_are(failed)} left out.")
     if void:
         found.append(
-            f"{_runs(void)} {_are(void)} void (the body that stands for the cars behind reached a "
-            "break) and left out."
+            f"{count(void, 'run')} {_are(void)} void (the body that stands for the cars behind "
+            "reached a break) and left out."
         )
     if manifest["ensemble"] > 1 and not _varies(results):
         found.append(
@@ -60,10 +62,6 @@ def _state(results: StudyResults) -> list[str]:
             "and their intervals say nothing."
         )
     return found
-
-
-def _runs(n: int) -> str:
-    return f"{n} run{'' if n == 1 else 's'}"
 
 
 def _are(n: int) -> str:
@@ -211,7 +209,7 @@ def _cannot(
         subject = f"at {_and(fixed)}, {subject}"
     between = "; " if any("," in w for w in words) else ", "
     listed = between.join(words[:-1]) + (between + "and " if between == "; " else " and ")
-    text = f"{subject}{listed}{words[-1]} cannot be told apart at {n} runs a point"
+    text = f"{subject}{listed}{words[-1]} cannot be told apart at {count(n, 'run')} a point"
     text = text[0].upper() + text[1:]
     everything = np.concatenate(groups)
     if np.ptp(everything) == 0.0:

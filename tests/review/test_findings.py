@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 from derail_ros import cli
 from derail_ros.recording import record_run
 from derail_ros.review import comparison, figures, film, histories, plots, summary, words
-from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag
+from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag, result_of
 from msg_adapters.definitions import deserialize
 from tests.nodes.support import SMALL, simulation, small
 
@@ -392,6 +392,44 @@ def test_a_run_that_its_time_limit_ends_is_not_said_to_be_at_rest(tmp_path, run:
     for wrong in ("at rest after", "rear part stands"):
         assert wrong not in said
     assert f"at rest after {run.result.duration:.1f} s" in summary.text(run)
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        ("running", "still running at 3.0 s"),
+        ("stopped", "ended by a command at 3.0 s"),
+        ("void", "void at 3.0 s"),
+        ("failed", "the computation failed at 3.0 s"),
+        ("cut off", "the recording cut off at 3.0 s"),
+    ],
+)
+def test_what_ended_a_run_is_said(run: Run, status, said) -> None:
+    cut = replace(
+        run, result=replace(run.result, status=status, time=3.0, duration=math.nan, rear_stop=-9.0)
+    )
+    facts = summary.findings(cut)["outcome"]
+    assert said in facts["text"]
+    assert facts["duration_s"] is facts["rear_part_stopped_at_m"] is None
+    assert "at rest after" not in summary.text(cut)
+    assert summary.findings(run)["outcome"]["rear_part_stopped_at_m"] == run.result.rear_stop
+
+
+def test_a_run_that_a_command_ended_is_known_by_its_events_too(run: Run) -> None:
+    *before, last = run.events
+    assert last.kind == "run_ended"
+    by_command = replace(run, events=(*before, replace(last, cause="command")))
+    for events, status, rests in ((run, "at rest", True), (by_command, "stopped", False)):
+        found = result_of(None, events)
+        assert (found.status, math.isfinite(found.duration)) == (status, rests)
+
+
+@pytest.mark.parametrize(
+    ("n", "said"), [(0, "no car derailed"), (1, "1 car derailed"), (2, "2 cars derailed")]
+)
+def test_the_number_of_cars_derailed(run: Run, n, said) -> None:
+    few = replace(run, result=replace(run.result, derailed=tuple(range(1, n + 1))))
+    assert words.sentence(few).startswith(f"{said}, ")
 
 
 @pytest.mark.parametrize(("prefix", "words"), [("zz", "no run begins with 'zz'")])

@@ -27,6 +27,11 @@ def test_a_study_is_read(load):
     assert designs.make(study).size() == "4 points x 2 runs = 8 runs"
 
 
+def test_the_size_with_one_run_a_point(load):
+    study = load(parameters("{path: train.speed_kmh, values: [10, 12]}", more="ensemble: 1\n"))
+    assert designs.make(study).size() == "2 points x 1 run = 2 runs"
+
+
 SHIPPED = sorted(path.stem for path in studies_dir().glob("*.yaml"))
 
 

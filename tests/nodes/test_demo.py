@@ -1,0 +1,57 @@
+"""What the demonstration shows at its end."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from rich.console import Console
+
+from derail_ros import demo
+from derail_ros.recording import record_run
+from tests.nodes.support import SMALL, simulation, small
+
+
+@pytest.fixture(scope="module")
+def last(tmp_path_factory):
+    """The last messages of a run that came to rest, and of one that its time limit ended."""
+    folder = tmp_path_factory.mktemp("demo")
+    found = {}
+    for name, more in (("at rest", ""), ("time limit", "integration: {time_limit_s: 2.0}\n")):
+        bag = folder / name.replace(" ", "_")
+        record_run(simulation(SMALL + more), small(SMALL + more), bag)
+        found[name] = demo.last_messages(bag)
+        assert found[name]["outcome"].status_name == name
+    return found
+
+
+def shown(outcome, scenario: str, width: int) -> list[str]:
+    """The table's lines on a terminal of that width."""
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(demo.comparison(outcome, scenario))
+    return capture.get().splitlines()
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_has_a_line_a_row(last, width) -> None:
+    outcome = last["at rest"]["outcome"]
+    lines = shown(outcome, demo.SCENARIO, width)
+    rows = {line.split("│")[1].strip(): line for line in lines if "│" in line}
+    assert list(rows) == [
+        "cars derailed", "scene", "duration", "largest collision force", "between",
+    ]  # fmt: skip
+    size = rf"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m"
+    assert re.search(rf"{size} +│ 132 m × 39 m +│ 109 m × 42 m", rows["scene"])
+    assert f"at rest after {outcome.duration:.1f} s" in lines[0]
+
+
+def test_a_run_that_its_time_limit_ends_is_not_said_to_rest(last) -> None:
+    outcome = last["time limit"]["outcome"]
+    lines = shown(outcome, "small", 80)
+    said = f"not yet at rest at the time limit of {outcome.time:.1f} s"
+    assert said in " ".join(" ".join(lines[:2]).split())
+    (row,) = (line for line in lines if "duration" in line)
+    assert row.split("│")[2].strip() == "-"
+    assert said in demo.scene(last["time limit"], "small").subtitle
+    assert "at rest after" in demo.scene(last["at rest"], "small").subtitle
