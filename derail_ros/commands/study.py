@@ -67,7 +67,7 @@ def run(
     if not dask:
         common.warm_up()
     try:
-        with common.progress(*_columns()) as bars:
+        with common.progress(*common.counting_columns()) as bars:
             tasks: dict[str, Any] = {}
 
             def show(phase: str, done: int, total: int) -> None:
@@ -130,24 +130,6 @@ def listing(as_json: bool) -> int:
         table.add_row(*map(escape, row))
     common.out().print(table)
     return OK
-
-
-def _columns() -> list[Any]:
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return [
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    ]
 
 
 def _results(folder: Path) -> StudyResults:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import derail_ros
 from derail_ros.scenario.messages import did_you_mean
 
 Value = bool | int | float | str | list[str]
@@ -273,6 +274,19 @@ NODES = {"simulator": SIMULATOR, "recorder": RECORDER, "player": PLAYER}
 
 
 # --- rclpy -----------------------------------------------------------------------------------
+
+
+def usage(node: str, arguments: str, parameters: Iterable[Parameter]) -> str:
+    """Help on the command line of a node."""
+    lines = [
+        f"{node} of derail_ros {derail_ros.__version__}: a ROS 2 node",
+        "",
+        f"usage: {node} {arguments}",
+        "",
+    ]
+    for p in parameters:
+        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
+    return "\n".join(lines)
 
 
 def descriptor(parameter: Parameter) -> Any:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import derail_ros
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.playback import Playback
 from derail_ros.nodes.process import StartError, Stop, run_node, service_qos, starting
@@ -369,15 +368,7 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
 
 def usage() -> str:
     """Help on the command line."""
-    lines = [
-        f"player of derail_ros {derail_ros.__version__}: a ROS 2 node",
-        "",
-        "usage: player --ros-args -p path:=FOLDER [-p NAME:=VALUE ...]",
-        "",
-    ]
-    for p in table.PLAYER:
-        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
-    return "\n".join(lines)
+    return table.usage("player", "--ros-args -p path:=FOLDER [-p NAME:=VALUE ...]", table.PLAYER)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import derail_ros
 from derail_ros.counts import count
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.process import Stop, run_node, starting
@@ -148,15 +147,7 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
 
 def usage() -> str:
     """Help on the command line."""
-    lines = [
-        f"recorder of derail_ros {derail_ros.__version__}: a ROS 2 node",
-        "",
-        "usage: recorder [--ros-args -p NAME:=VALUE ...]",
-        "",
-    ]
-    for p in table.RECORDER:
-        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
-    return "\n".join(lines)
+    return table.usage("recorder", "[--ros-args -p NAME:=VALUE ...]", table.RECORDER)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import derail_ros
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
 from derail_ros.nodes.process import Stop, run_node, service_qos, starting
@@ -701,15 +700,9 @@ def _run(stop: Stop, arguments: Sequence[str]) -> int:
 
 def usage() -> str:
     """Help on the command line."""
-    lines = [
-        f"simulator of derail_ros {derail_ros.__version__}: a ROS 2 node",
-        "",
-        "usage: simulator [--ros-args -p NAME:=VALUE ... --params-file FILE]",
-        "",
-    ]
-    for p in table.SIMULATOR:
-        lines.append(f"  {p.name} ({p.type_name}, default {p.default!r}): {p.description}")
-    return "\n".join(lines)
+    return table.usage(
+        "simulator", "[--ros-args -p NAME:=VALUE ... --params-file FILE]", table.SIMULATOR
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:

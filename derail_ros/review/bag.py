@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from derail_ros.counts import count
 from derail_ros.review.scene import Scene
-from derail_ros.review.sound import believable
+from derail_ros.review.sound import ENERGY_ENTRIES, believable
 from derail_ros.review.storage import (
     BagError,
     BagVersionError,
@@ -56,23 +56,6 @@ CUT_OFF = "cut off"
 CORNERS = ("front left", "front right", "rear left", "rear right")
 WALLS = {0: "front end", 1: "left side", 2: "rear end", 3: "right side", 4: "corner"}
 ENDS = ("", "front", "rear")
-
-ENERGY_ENTRIES = (
-    "initial",
-    "kinetic",
-    "striker_elastic",
-    "knuckle_elastic",
-    "work_brakes",
-    "work_ground_trucks",
-    "work_ground_body",
-    "work_collisions",
-    "work_striker_dampers",
-    "work_knuckles_released",
-    "work_external",
-    "stabilization_net",
-    "stabilization_gross",
-    "residual",
-)
 
 
 @dataclass(frozen=True)

@@ -251,11 +251,27 @@ def _state(scene: Scene) -> NDArray[np.int64]:
     return np.where(scene.free, 2, np.where(scene.derailed, 1, 0))
 
 
-def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float) -> None:
+def legend_above(axes: Axes, handles: Sequence[Any], ncol: int, **more: Any) -> None:
+    """A legend in rows over the axes, flush left."""
+    look: dict[str, Any] = {
+        "loc": "lower left",
+        "bbox_to_anchor": (0.0, 1.0),
+        "frameon": False,
+        "fontsize": 8.5,
+        "borderaxespad": 0.0,
+        "borderpad": 0.2,
+        "columnspacing": 1.6,
+    }
+    axes.legend(handles=handles, ncol=ncol, **(look | more))
+
+
+def draw_bodies(
+    axes: Axes, scene: Scene, lw: float, zorder: float = 4.0, hatched: bool = True
+) -> None:
+    """The cars by their state; no body that stands for many."""
     corners = scene.corners()
     state = _state(scene)
     real = scene.represents == 1
-    _draw_couplers(axes, scene, points_per_metre)
     for k, (_, fill, hatch) in enumerate(STATES):
         chosen = real & (state == k)
         if chosen.any():
@@ -264,28 +280,47 @@ def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float
                     list(corners[chosen]),
                     facecolors=fill,
                     edgecolors=INK,
-                    linewidths=0.9,
-                    hatch=hatch or None,
-                    zorder=4,
+                    linewidths=lw,
+                    hatch=(hatch or None) if hatched else None,
+                    zorder=zorder,
                 )
             )
-    # The dark end is the front.
-    nose = corners.copy()
+
+
+def draw_fronts(axes: Axes, scene: Scene) -> None:
+    """The front end of each car, dark."""
+    corners = scene.corners()
+    front = corners.copy()
     share = np.minimum(0.7 / scene.length, 0.5)[:, None]
-    nose[:, 3] = corners[:, 0] + share * (corners[:, 3] - corners[:, 0])
-    nose[:, 2] = corners[:, 1] + share * (corners[:, 2] - corners[:, 1])
-    axes.add_collection(PolyCollection(list(nose[real]), facecolors=INK, zorder=4.5))
-    if (~real).any():
+    front[:, 3] = corners[:, 0] + share * (corners[:, 3] - corners[:, 0])
+    front[:, 2] = corners[:, 1] + share * (corners[:, 2] - corners[:, 1])
+    real = scene.represents == 1
+    axes.add_collection(PolyCollection(list(front[real]), facecolors=INK, zorder=4.5))
+
+
+def _draw_stand_ins(axes: Axes, scene: Scene, lw: float, zorder: float) -> None:
+    """The bodies that stand for many cars."""
+    many = scene.represents != 1
+    if many.any():
         axes.add_collection(
             PolyCollection(
-                list(corners[~real]),
+                list(scene.corners()[many]),
                 facecolors=STAND_IN,
                 edgecolors=FAINT,
                 linestyles="--",
-                linewidths=0.9,
-                zorder=3,
+                linewidths=lw,
+                zorder=zorder,
             )
         )
+
+
+def _draw_cars(axes: Axes, scene: Scene, window: Window, points_per_metre: float) -> None:
+    corners = scene.corners()
+    real = scene.represents == 1
+    _draw_couplers(axes, scene, points_per_metre)
+    draw_bodies(axes, scene, 0.9)
+    draw_fronts(axes, scene)
+    _draw_stand_ins(axes, scene, 0.9, 3)
     size = float(np.clip(0.62 * 2.6 * points_per_metre, 5.0, 10.0))
     places = _label_places(scene, 2.4 * size / points_per_metre)
     for i, (x, y) in enumerate(places):
@@ -532,32 +567,9 @@ def _draw_strip(
     axes: Axes, scene: Scene, window: Window, everything: Window, inches: float
 ) -> None:
     axes.plot(scene.track[:, 0], scene.track[:, 1], color=RAIL, lw=0.8, zorder=1)
-    corners = scene.corners()
-    state = _state(scene)
     real = scene.represents == 1
-    for k, (_, fill, _) in enumerate(STATES):
-        chosen = real & (state == k)
-        if chosen.any():
-            axes.add_collection(
-                PolyCollection(
-                    list(corners[chosen]),
-                    facecolors=fill,
-                    edgecolors=INK,
-                    linewidths=0.4,
-                    zorder=3,
-                )
-            )
-    if (~real).any():
-        axes.add_collection(
-            PolyCollection(
-                list(corners[~real]),
-                facecolors=STAND_IN,
-                edgecolors=FAINT,
-                linestyles="--",
-                linewidths=0.6,
-                zorder=2,
-            )
-        )
+    draw_bodies(axes, scene, 0.4, zorder=3, hatched=False)
+    _draw_stand_ins(axes, scene, 0.6, 2)
     x0, x1, y0, y1 = window
     y0, y1 = max(y0, everything[2]), min(y1, everything[3])
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=BLUE, lw=1.2, zorder=5))
@@ -717,18 +729,7 @@ def _peak_forces(
         axes.text(
             0.5, 0.5, "no collisions", transform=axes.transAxes, ha="center", size=12, color=FAINT
         )
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncol=4,
-        frameon=False,
-        fontsize=8.5,
-        borderaxespad=0.0,
-        borderpad=0.2,
-        columnspacing=1.6,
-        handleheight=1.1,
-    )
+    legend_above(axes, handles, 4, handleheight=1.1)
     heading = f"{title}: peak force on each car" if title else "Peak force on each car"
     _headline(figure, left, 1.0 - 0.27 / height, heading, 80)
     note = "No car was struck."

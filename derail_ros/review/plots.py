@@ -28,6 +28,7 @@ from derail_ros.review.figures import (
     STYLE,
     VERMILION,
     WIDTH,
+    legend_above,
 )
 from derail_ros.review.summary import by_severity
 
@@ -388,17 +389,7 @@ def _speeds(run: Run) -> Figure:
     axes.set_ylim(0.0, float(speed.max()) * 1.05 + 0.1)
     axes.set_xlabel("time, s")
     axes.set_ylabel("speed, m/s")
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncol=4,
-        frameon=False,
-        fontsize=8.5,
-        borderaxespad=0.0,
-        borderpad=0.2,
-        columnspacing=1.6,
-    )
+    legend_above(axes, handles, 4)
     kmh = axes.secondary_yaxis(
         "right",
         functions=(_to_kmh, _from_kmh),
@@ -636,17 +627,7 @@ def _space_time(run: Run) -> Figure:
     _number_lines(axes, [(s[-1, k], str(i + 1)) for k, i in enumerate(shown)], bottom, top)
     axes.set_xlabel("time, s")
     axes.set_ylabel("place along the track, m")
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncol=6,
-        frameon=False,
-        fontsize=8.5,
-        borderaxespad=0.0,
-        borderpad=0.2,
-        columnspacing=1.4,
-    )
+    legend_above(axes, handles, 6, columnspacing=1.4)
     return figure
 
 

@@ -15,6 +15,25 @@ LARGEST = 1.0e12
 """No quantity of a train that is shown is larger than this, in SI units."""
 
 
+ENERGY_ENTRIES = (
+    "initial",
+    "kinetic",
+    "striker_elastic",
+    "knuckle_elastic",
+    "work_brakes",
+    "work_ground_trucks",
+    "work_ground_body",
+    "work_collisions",
+    "work_striker_dampers",
+    "work_knuckles_released",
+    "work_external",
+    "stabilization_net",
+    "stabilization_gross",
+    "residual",
+)
+"""Entries of the energy ledger in its message, J."""
+
+
 @dataclass(frozen=True)
 class _Rule:
     """What must hold of the fields that are used of a message.
@@ -66,25 +85,7 @@ RULES = {
         ),
     ),
     "CouplerStates": _Rule(numbers=("time",)),
-    "EnergyLedger": _Rule(
-        numbers=(
-            "time",
-            "initial",
-            "kinetic",
-            "striker_elastic",
-            "knuckle_elastic",
-            "work_brakes",
-            "work_ground_trucks",
-            "work_ground_body",
-            "work_collisions",
-            "work_striker_dampers",
-            "work_knuckles_released",
-            "work_external",
-            "stabilization_net",
-            "stabilization_gross",
-            "residual",
-        )
-    ),
+    "EnergyLedger": _Rule(numbers=("time", *ENERGY_ENTRIES)),
     "TrainEvent": _Rule(
         numbers=("time",), or_none=("x", "y", "track_coordinate", "speed", "value")
     ),

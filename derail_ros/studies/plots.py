@@ -7,7 +7,7 @@ by colour alone (series differ in marks and dashes too). Bars and shades always 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +123,50 @@ def _figure(height: float, width: float = WIDTH) -> Figure:
     return figure
 
 
+def _panels(
+    n: int, extra: float, row: float, most: int = 3, width: float = WIDTH, **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure of n panels, so many in a row at most; its height is ``extra + row * rows``."""
+    columns = min(most, n)
+    rows = -(-n // columns)
+    figure = _figure(extra + row * rows, width)
+    grid = figure.subplots(rows, columns, sharey=True, squeeze=False, **shared).ravel()
+    for axes in grid[n:]:
+        axes.set_visible(False)
+    return figure, list(grid[:n])
+
+
+def _first(axes: Axes) -> bool:
+    """In the left column."""
+    place = axes.get_subplotspec()
+    return place is not None and place.is_first_col()
+
+
+def _lowest(axes: Axes) -> bool:
+    """In the last row."""
+    place = axes.get_subplotspec()
+    return place is not None and place.is_last_row()
+
+
+def _lines(styles: Iterable[tuple[str, tuple[str, str, Any]]]) -> list[Line2D]:
+    """Entries of a legend: label, and one of :data:`SERIES`."""
+    return [
+        Line2D([], [], color=colour, marker=mark, ls=dash, ms=5, label=label)
+        for label, (colour, mark, dash) in styles
+    ]
+
+
+def _legend(figure: Figure, handles: Sequence[Any], ncol: int, **more: Any) -> None:
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncol=ncol,
+        frameon=False,
+        fontsize=9.5,
+        **more,
+    )
+
+
 def _dress(axes: Axes, grid: str = "both") -> None:
     axes.grid(axis=grid, color="#ececec", lw=0.8, zorder=0)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
@@ -162,22 +206,18 @@ def _relative(results: StudyResults) -> Drawn | None:
     lines = [line for line in statistics.lines(results) if len(line.points) > 1][:MOST_PANELS]
     if not measures or not lines:
         return None
-    columns = min(3, len(lines))
-    rows = -(-len(lines) // columns)
-    figure = _figure(0.5 + 2.75 * rows)
-    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    figure, panels = _panels(len(lines), 0.5, 2.75)
     table = summary.set_index(["measure", "point"])
     most = 1.0
-    for k, line in enumerate(lines):
-        axes = grid[k // columns][k % columns]
+    for axes, line in zip(panels, lines, strict=True):
         _dress(axes)
         x, labels = _percent_axis(results, line)
         axes.axhline(1.0, color=FAINT, lw=0.8, zorder=1)
         for measure, (colour, mark, dash) in zip(measures, SERIES, strict=False):
-            rows_ = [table.loc[(measure, p)] for p in line.points]
-            y = np.array([float(r["relative"]) for r in rows_])
-            low = y - np.array([float(r["relative_low"]) for r in rows_])
-            high = np.array([float(r["relative_high"]) for r in rows_]) - y
+            at = [table.loc[(measure, p)] for p in line.points]
+            y = np.array([float(r["relative"]) for r in at])
+            low = y - np.array([float(r["relative_low"]) for r in at])
+            high = np.array([float(r["relative_high"]) for r in at]) - y
             known = np.isfinite(y)
             errors = np.nan_to_num(np.array([low, high]))
             axes.errorbar(
@@ -200,16 +240,10 @@ def _relative(results: StudyResults) -> Drawn | None:
         axes.set_title(_words(results, name), size=10.5, weight="bold", loc="left")
         at_base = _value(results, name, results.design.point(0).columns[name])
         axes.set_title(f"base: {at_base}", size=8.5, color="#555555", loc="right")
-        if k % columns == 0:
+        if _first(axes):
             axes.set_ylabel("relative to the base")
-    for k in range(len(lines), rows * columns):
-        grid[k // columns][k % columns].set_visible(False)
-    grid[0][0].set_ylim(0.0, 1.05 * most)
-    handles = [
-        Line2D([], [], color=c, marker=m, ls=d, ms=5, label=MEASURES[key].label)
-        for key, (c, m, d) in zip(measures, SERIES, strict=False)
-    ]
-    figure.legend(handles=handles, loc="outside upper left", ncol=4, frameon=False, fontsize=9.5)
+    panels[0].set_ylim(0.0, 1.05 * most)
+    _legend(figure, _lines(zip((MEASURES[m].label for m in measures), SERIES, strict=False)), 4)
     names = ", ".join(_words(results, line.column or "") for line in lines)
     return Drawn(
         "relative",
@@ -307,19 +341,20 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
     panels = [None] if spec.panels is None else list(dict.fromkeys(table[spec.panels]))
     series = [None] if spec.series is None else list(dict.fromkeys(table[spec.series]))
     panels, series = panels[:MOST_PANELS], series[:MOST_SERIES]
-    columns = min(3, len(panels))
-    rows = -(-len(panels) // columns)
-    width = 6.6 if len(panels) == 1 else WIDTH
-    figure = _figure(0.55 + (3.5 if rows == 1 else 3.0) * rows, width)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, grid = _panels(
+        len(panels),
+        0.55,
+        3.5 if len(panels) <= 3 else 3.0,
+        width=6.6 if len(panels) == 1 else WIDTH,
+        sharex=True,
+    )
     numbers = all(isinstance(v, (int, float, np.number)) for v in table[spec.x])
     places = {
         v: float(v) if numbers else float(i) for i, v in enumerate(dict.fromkeys(table[spec.x]))
     }
     spread = len(series) == 1
     offset = _offsets(list(places.values()), len(series))
-    for k, panel in enumerate(panels):
-        axes = grid[k // columns][k % columns]
+    for axes, panel in zip(grid, panels, strict=True):
         _dress(axes)
         part = table if panel is None else table[table[spec.panels] == panel]
         for i, value in enumerate(series):
@@ -353,20 +388,15 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
         if not numbers:
             axes.set_xticks(list(places.values()))
             axes.set_xticklabels([str(v) for v in places], rotation=20, ha="right")
-        if k // columns == rows - 1:
+        if _lowest(axes):
             axes.set_xlabel(results.study.label(spec.x))
-        if k % columns == 0:
+        if _first(axes):
             axes.set_ylabel(f"{MEASURES[spec.y].title}, mean")
-    for k in range(len(panels), rows * columns):
-        grid[k // columns][k % columns].set_visible(False)
-    bottom, top = grid[0][0].get_ylim()
+    bottom, top = grid[0].get_ylim()
     if float(table["mean"].min()) >= 0.0 and bottom < 0.45 * top:
-        grid[0][0].set_ylim(0.0, top)
-    handles: list[Any] = [
-        Line2D([], [], color=c, marker=m, ls=d, ms=5, label=_value(results, spec.series or "", v))
-        for v, (c, m, d) in zip(series, SERIES, strict=False)
-        if v is not None
-    ]
+        grid[0].set_ylim(0.0, top)
+    names = (_value(results, spec.series or "", v) for v in series if v is not None)
+    handles: list[Any] = _lines(zip(names, SERIES, strict=False))
     note = "bars are 95 % intervals of the mean"
     if spread:
         handles = [
@@ -374,12 +404,10 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
             Patch(fc="#dcebf5", label="5 to 95 % of the runs"),
         ]
         note += ", the shade holds 5 to 95 % of the runs"
-    figure.legend(
-        handles=handles,
-        loc="outside upper left",
-        ncol=4,
-        frameon=False,
-        fontsize=9.5,
+    _legend(
+        figure,
+        handles,
+        4,
         title=None if spread else _words(results, spec.series or ""),
         alignment="left",
         title_fontsize=9.5,
@@ -392,7 +420,7 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
     return Drawn(
         f"{spec.y}_over_{spec.x}_{number}" if number else f"{spec.y}_over_{spec.x}",
         title,
-        f"{_ensemble(results)[0].upper()}{_ensemble(results)[1:]}; {note}.",
+        f"{_ensemble(results)}; {note}.",
         f"Line chart of the mean {MEASURES[spec.y].title} over {_words(results, spec.x)}"
         + (f", by {' and '.join(also)}" if also else "")
         + f". Means range from {said}. The numbers are in the table of means.",
@@ -418,12 +446,8 @@ def _rows(results: StudyResults) -> Drawn | None:
     measures = results.measures[:6]
     labels = list(results.labels)
     n = len(labels)
-    columns = min(3, len(measures))
-    rows = -(-len(measures) // columns)
-    figure = _figure(0.85 + rows * (0.65 + 0.27 * n))
-    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    for k, measure in enumerate(measures):
-        axes = grid[k // columns][k % columns]
+    figure, panels = _panels(len(measures), 0.85, 0.65 + 0.27 * n)
+    for axes, measure in zip(panels, measures, strict=True):
         _dress(axes)
         table = summary[summary["measure"] == measure].set_index("point")
         for point, values in statistics.point_values(results, measure).items():
@@ -453,20 +477,16 @@ def _rows(results: StudyResults) -> Drawn | None:
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_yticks(range(n))
         axes.set_yticklabels(labels)
-    for k in range(len(measures), rows * columns):
-        grid[k // columns][k % columns].set_visible(False)
     handles = [
         Line2D([], [], ls="", marker=".", color="#8fb9d6", label="a run"),
         Line2D([], [], ls="-", marker="D", ms=4.5, color=INK, label="mean, 95 % interval"),
     ]
     if results.base is not None:
         handles.append(Line2D([], [], color=VERMILION, ls=":", label="mean of the base"))
-    figure.legend(
-        handles=handles,
-        loc="outside upper left",
-        ncol=3,
-        frameon=False,
-        fontsize=9.5,
+    _legend(
+        figure,
+        handles,
+        3,
         title=results.manifest["title"].replace("$", r"\$"),
         title_fontproperties={"size": 13, "weight": "bold"},
         alignment="left",
@@ -479,8 +499,7 @@ def _rows(results: StudyResults) -> Drawn | None:
     return Drawn(
         "settings",
         "The settings side by side",
-        f"{_ensemble(results)[0].upper()}{_ensemble(results)[1:]}, each a dot; diamonds are means "
-        "with their 95 % interval.",
+        f"{_ensemble(results)}, each a dot; diamonds are means with their 95 % interval.",
         f"Dot plots of {', '.join(MEASURES[m].label for m in measures)} for each setting. "
         f"Mean {MEASURES[measures[0]].label}: {said}.",
         figure,
@@ -539,17 +558,13 @@ def _sobol(results: StudyResults) -> Drawn | None:
         return None
     table = table[table["S1"].notna()]
     measures = list(dict.fromkeys(table["measure"]))[:6]
-    columns = min(2, len(measures))
-    rows = -(-len(measures) // columns)
     names = [axis.name for axis in results.design.axes]
-    figure = _figure(0.5 + rows * (0.9 + 0.42 * len(names)))
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, panels = _panels(len(measures), 0.5, 0.9 + 0.42 * len(names), most=2, sharex=True)
     kinds: tuple[tuple[str, str, float, str, str], ...] = (
         ("S1", "alone (S1)", -0.18, "#a9cfe6", ""),
         ("ST", "with all others (ST)", 0.18, "#f4c9a8", "////"),
     )
-    for k, measure in enumerate(measures):
-        axes = grid[k // columns][k % columns]
+    for axes, measure in zip(panels, measures, strict=True):
         _dress(axes, "x")
         part = table[table["measure"] == measure].set_index("parameter").loc[names]
         for key, _, shift, fill, hatch in kinds:
@@ -570,13 +585,11 @@ def _sobol(results: StudyResults) -> Drawn | None:
         axes.set_yticks(range(len(names)))
         axes.set_yticklabels([_words(results, name) for name in names])
         axes.set_title(MEASURES[measure].label, size=10.5, weight="bold", loc="left")
-        if k // columns == rows - 1:
+        if _lowest(axes):
             axes.set_xlabel("share of the variance")
-    grid[0][0].invert_yaxis()
-    for k in range(len(measures), rows * columns):
-        grid[k // columns][k % columns].set_visible(False)
+    panels[0].invert_yaxis()
     handles = [Patch(fc=f, ec=INK, lw=0.7, hatch=h, label=label) for _, label, _, f, h in kinds]
-    figure.legend(handles=handles, loc="outside upper left", ncol=2, frameon=False, fontsize=9.5)
+    _legend(figure, handles, 2)
     ranked = table[table["measure"] == measures[0]].sort_values("ST", ascending=False)
     said = ", ".join(
         f"{_words(results, r['parameter'])} {r['ST']:.2f}" for r in ranked.to_dict("records")
@@ -597,14 +610,10 @@ def _scatter(results: StudyResults, measure: str) -> Drawn | None:
     runs = results.runs.dropna(subset=[measure])
     if not len(runs):
         return None
-    columns = min(3, len(names))
-    rows = -(-len(names) // columns)
-    figure = _figure(0.5 + 2.6 * rows)
-    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    figure, panels = _panels(len(names), 0.5, 2.6)
     y = runs[measure].to_numpy(dtype=float)
     thin = max(1, len(y) // 3000)
-    for k, name in enumerate(names):
-        axes = grid[k // columns][k % columns]
+    for axes, name in zip(panels, names, strict=True):
         _dress(axes)
         x, set_labels = _places(runs[name])
         axes.plot(x[::thin], y[::thin], ls="", marker=".", ms=3, color="#8fb9d6", zorder=2)
@@ -625,10 +634,8 @@ def _scatter(results: StudyResults, measure: str) -> Drawn | None:
         axes.xaxis.set_major_locator(MaxNLocator(4))
         set_labels(axes)
         axes.set_xlabel(results.study.label(name))
-        if k % columns == 0:
+        if _first(axes):
             axes.set_ylabel(MEASURES[measure].title)
-    for k in range(len(names), rows * columns):
-        grid[k // columns][k % columns].set_visible(False)
     label = MEASURES[measure].label
     return Drawn(
         f"{measure}_over_all",

@@ -9,13 +9,23 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.review.figures import BLUE, FAINT, INK, RAIL, STATES, STYLE, VERMILION
+from derail_ros.review.figures import (
+    BLUE,
+    FAINT,
+    INK,
+    RAIL,
+    STATES,
+    STYLE,
+    VERMILION,
+    draw_bodies,
+    draw_fronts,
+)
+from derail_ros.review.words import number_list
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.mississauga import Details, PublishedRun
 from derail_ros.studies.validation import MEASURES, CaseResult, Validation
@@ -307,7 +317,7 @@ def _scene_series(details: Details, published: PublishedRun, title: str) -> Figu
         figure.text(
             (left + 0.62) / width,
             (low + tall + 0.3) / height,
-            f"here stand: {_ranges(standing.tolist()) or 'none'}",
+            f"here stand: {number_list(standing.tolist())}",
             size=8.5,
             va="center",
         )
@@ -343,20 +353,6 @@ def _scene_series(details: Details, published: PublishedRun, title: str) -> Figu
     return figure
 
 
-def _ranges(numbers: Sequence[int]) -> str:
-    """1, 2, 3, 5 as ``1 to 3, 5``."""
-    parts: list[list[int]] = []
-    for n in numbers:
-        if parts and parts[-1][1] == n - 1:
-            parts[-1][1] = n
-        else:
-            parts.append([n, n])
-    words = []
-    for a, b in parts:
-        words.append(f"{a}" if a == b else f"{a}, {b}" if b == a + 1 else f"{a} to {b}")
-    return ", ".join(words)
-
-
 def _window(scenes: Sequence[Scene]) -> tuple[float, float, float, float]:
     """Holds the derailed cars of all scenes and a car length behind them."""
     points = np.concatenate(
@@ -381,27 +377,9 @@ def _scene(
         axes.axhline(side, color=RAIL, lw=0.8, zorder=0.5)
     for x, _, _ in scene.breaks:
         axes.plot([x, x], [-2.6, 2.6], color=VERMILION, lw=2.2, zorder=6, solid_capstyle="butt")
-    corners = scene.corners()
     real = scene.represents == 1
-    state = np.where(scene.free, 2, np.where(scene.derailed, 1, 0))
-    for k, (_, fill, hatch) in enumerate(STATES):
-        chosen = real & (state == k)
-        if chosen.any():
-            axes.add_collection(
-                PolyCollection(
-                    list(corners[chosen]),
-                    facecolors=fill,
-                    edgecolors=INK,
-                    linewidths=0.7,
-                    hatch=hatch or None,
-                    zorder=4,
-                )
-            )
-    nose = corners.copy()
-    share = np.minimum(0.7 / scene.length, 0.5)[:, None]
-    nose[:, 3] = corners[:, 0] + share * (corners[:, 3] - corners[:, 0])
-    nose[:, 2] = corners[:, 1] + share * (corners[:, 2] - corners[:, 1])
-    axes.add_collection(PolyCollection(list(nose[real]), facecolors=INK, zorder=4.5))
+    draw_bodies(axes, scene, 0.7)
+    draw_fronts(axes, scene)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     size = float(np.clip(0.6 * 2.6 * points_per_metre, 4.5, 8.0))
     for i in np.flatnonzero(real):

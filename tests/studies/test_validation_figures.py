@@ -9,7 +9,6 @@ from derail_ros.studies import mississauga
 from derail_ros.studies.mississauga import Details, details, load_published_run
 from derail_ros.studies.validation import FIGURES, MEASURES, markdown, validate
 from derail_ros.studies.validation_figures import (
-    _ranges,
     peaks_by_car,
     published_against_computed,
     scene_series,
@@ -62,11 +61,6 @@ def test_scenes(made_up):
     texts = [t.get_text() for t in figure.texts]
     assert "here stand: 1 to 7" in texts
     assert any("11 into 9" in text for text in texts)
-
-
-def test_ranges():
-    assert _ranges([]) == ""
-    assert _ranges([1, 2, 3, 5, 7, 8]) == "1 to 3, 5, 7, 8"
 
 
 def test_published_against_computed():
