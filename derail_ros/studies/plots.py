@@ -241,7 +241,7 @@ def _relative(results: StudyResults) -> Drawn | None:
         at_base = _value(results, name, results.design.point(0).columns[name])
         axes.set_title(f"base: {at_base}", size=8.5, color="#555555", loc="right")
         if _first(axes):
-            axes.set_ylabel("relative to the base")
+            axes.set_ylabel("mean, base = 1")
     panels[0].set_ylim(0.0, 1.05 * most)
     _legend(figure, _lines(zip((MEASURES[m].label for m in measures), SERIES, strict=False)), 4)
     names = ", ".join(_words(results, line.column or "") for line in lines)
@@ -314,7 +314,7 @@ def _tornado(results: StudyResults) -> Drawn | None:
     axes.set_yticklabels([_words(results, name) for name, _ in bars], size=10)
     axes.set_xlim(lowest - 0.16 * reach, highest + 0.16 * reach)
     label = MEASURES[measure].label
-    axes.set_xlabel(f"mean {label} relative to the base")
+    axes.set_xlabel(f"mean {label}, base = 1")
     ranked = ", ".join(
         f"{_words(results, n)} {min(y for y, _ in at):.2f} to {max(y for y, _ in at):.2f}"
         for n, at in reversed(bars)
