@@ -322,10 +322,10 @@ def _tornado(results: StudyResults) -> Drawn | None:
     return Drawn(
         "ranking",
         f"Which parameter moves the {label} most",
-        f"From the least to the largest mean {label} over each parameter's range, relative to "
-        "the base (the line at 1). Ticks are the points; the values at both ends stand beside "
-        "the bar.",
-        f"Bar chart of the range of mean {label} relative to the base: {ranked}.",
+        f"From the least to the largest mean {label} over each parameter's range; that of the "
+        "base is 1 (the line). Ticks are the points; the values at both ends stand beside the "
+        "bar.",
+        f"Bar chart of the range of the mean {label}, base = 1: {ranked}.",
         figure,
     )
 

@@ -193,3 +193,24 @@ def test_settings_side_by_side_have_a_title_and_begin_at_zero(load, folder, inve
         for line in dots:
             y = line.get_ydata()
             assert max(abs(y - round(y.mean()))) > 0.25
+
+
+@pytest.mark.parametrize(
+    ("measure", "said"),
+    [("severity", "mean relative severity"), ("peak_force_MN", "mean peak force")],
+)
+def test_a_ranking_says_once_what_it_is_relative_to(load, folder, invented, measure, said):
+    from derail_ros.studies import plots
+
+    def some(point, member):
+        values = ("cars_derailed", "peak_force_MN", "scene_area_m2")
+        return dict.fromkeys(values, 2.0 + point + 0.1 * member)
+
+    head, _, _ = STUDIES["one_at_a_time"].partition("measures:")
+    study = load(f"{head}measures: [{measure}]\n")
+    results = StudyResults(run_study(study, folder / "out", run=invented(some)))
+    (drawn,) = [d for d in plots.draw(results) if d.name == "ranking"]
+    (axes,) = drawn.figure.axes
+    assert axes.get_xlabel() == f"{said}, base = 1"
+    assert f"largest {said} over each" in drawn.caption
+    assert f"{said}, base = 1: " in drawn.alt
