@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.baselines.models import run_model
+from derail_ros.counts import count
 from derail_ros.studies.accidents import (
     GROUPS,
     Group,
@@ -126,11 +127,11 @@ def reenact(
     counts: Counts = {way.label: [None] * len(reports) for way in ways}
     total = len(reports) * len(ways)
     with closing(run_many(runs(), jobs=jobs, task=task)) as stream:
-        for count, result in enumerate(stream, 1):
+        for done, result in enumerate(stream, 1):
             k, w = result.run.key
             counts[ways[w].label][k] = result.value if result.error is None else None
             if progress is not None:
-                progress(count, total)
+                progress(done, total)
     return counts
 
 
@@ -279,7 +280,7 @@ def reenacted_table(reports: Sequence[Report], counts: Counts) -> str:
         for label in counts
     ]
     failed = {label: sum(v is None for v in values) for label, values in counts.items()}
-    words = [f"{label}: {n} runs failed" for label, n in failed.items() if n]
+    words = [f"{label}: {count(n, 'run')} failed" for label, n in failed.items() if n]
     return _table(heads, lines) + ("\n\n" + "; ".join(words) + "." if words else "")
 
 
@@ -405,7 +406,7 @@ def _over_speed(results: Results) -> Figure:
         )  # fmt: skip
         for n, s, own, _ in rows:
             if n < 10:
-                axes.annotate(f"{n} reports", (s, own.mean + 2.0 * own.error), (0, 4),
+                axes.annotate(count(n, "report"), (s, own.mean + 2.0 * own.error), (0, 4),
                               textcoords="offset points", ha="center", size=7.5)  # fmt: skip
         axes.set_title(title, loc="left", size=11, weight="bold")
         axes.set_xlabel("speed, km/h")

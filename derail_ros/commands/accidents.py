@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.studies.accidents import Group, Report, SpeedClass
@@ -85,7 +86,7 @@ def run(
                  "classes": [asdict(c) for c in classes]}
             )  # fmt: skip
         else:
-            _print_classes(f"{group.words}: {len(reports)} reports", classes)
+            _print_classes(f"{group.words}: {count(len(reports), 'report')}", classes)
         return OK
     return _run_models(reports, group, models, settings, most, seed, jobs, as_json)
 
@@ -149,7 +150,7 @@ def _run_models(
     else:
         _print_models(group, settings, rows, trains, counts)
     if failed:
-        note(f"derail: {failed} runs failed")
+        note(f"derail: {count(failed, 'run')} failed")
     return FAILED if failed else OK
 
 
@@ -166,7 +167,7 @@ def _print_models(
 
     console = common.out()
     words = f", {', '.join(settings)}" if settings else ""
-    title = f"Cars derailed, means of {len(trains)} trains: {group.words}{words}"
+    title = f"Cars derailed, means of {count(len(trains), 'train')}: {group.words}{words}"
     console.print(title, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     for heading in ("speed, km/h", "trains", "reported", *counts):
@@ -200,7 +201,7 @@ def _shipped(statistics: Any, as_json: bool) -> int:
     )
     for name, classes in statistics.groups.items():
         n = sum(c.reports for c in classes)
-        _print_classes(f"{GROUPS[name].words}: {n} reports", classes)
+        _print_classes(f"{GROUPS[name].words}: {count(n, 'report')}", classes)
     return OK
 
 
@@ -274,5 +275,5 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
         for value in values
     )
     if failed:
-        note(f"derail: {failed} runs failed")
+        note(f"derail: {count(failed, 'run')} failed")
     return FAILED if failed else OK

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.baselines.models import ModelRun
@@ -244,7 +245,7 @@ def write_page(
         common.print_json({"members": members, "seed": seed,
                            "ensembles": [e.as_dict() for e in ensembles]})  # fmt: skip
     if failed:
-        note(f"derail: {len(failed)} runs failed: {'; '.join(sorted(set(failed)))}")
+        note(f"derail: {count(len(failed), 'run')} failed: {'; '.join(sorted(set(failed)))}")
     return FAILED if failed else OK
 
 
