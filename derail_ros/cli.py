@@ -216,7 +216,11 @@ def accidents(
     ] = 0.0,
     models: Annotated[
         list[str] | None,
-        typer.Option("--model", "-m", help="Run the trains of the reports with it."),
+        typer.Option(
+            "--model",
+            "-m",
+            help="Run the trains of the reports with it; without files their mean trains.",
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,

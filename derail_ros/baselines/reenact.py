@@ -21,6 +21,7 @@ from derail_ros.studies.accidents import (
     GROUPS,
     Group,
     Report,
+    SpeedClass,
     Statistics,
     error_of_mean,
     in_classes,
@@ -81,6 +82,14 @@ def train_of(base: Scenario, report: Report) -> TrainParams:
     mass = report.mass_kg
     cars = tuple(replace(c, mass=mass, inertia=c.inertia * mass / c.mass) for c in train.cars)
     return replace(train, cars=cars)
+
+
+def mean_report(one: SpeedClass) -> Report:
+    """The mean train of a class of speed, as a report; its cars derailed rounded."""
+    cars = round(one.behind)
+    return Report(
+        "", "mean", 0, one.speed_kmh, cars, cars, max(round(one.mean), 1), 1, one.mass_kg, ""
+    )
 
 
 def sample(reports: Iterable[Report], most: int, seed: int = 0) -> list[Report]:

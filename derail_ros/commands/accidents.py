@@ -12,7 +12,7 @@ from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.counts import count
 
 if TYPE_CHECKING:
-    from derail_ros.studies.accidents import Group, Report, SpeedClass
+    from derail_ros.studies.accidents import Group, Report, SpeedClass, Statistics
 
 
 @dataclass(frozen=True)
@@ -58,19 +58,22 @@ def run(
     from derail_ros.studies.accidents import by_speed, load_statistics
 
     group = chosen.group()
-    if not paths:
-        if chosen != Chosen() or models or settings:
-            raise CommandFailure(
-                "choosing reports and running their trains needs the reports: name their files "
-                "(docs/accidents.md says where to get them)"
-            )
-        return _shipped(load_statistics(), as_json)
     if settings and not models:
         raise CommandFailure("--set: is for the trains that --model runs")
     from derail_ros.commands.models import _check_model
 
     for name in models:
         _check_model(name)
+    if not paths:
+        statistics = load_statistics()
+        if models:
+            return _run_mean_trains(statistics, group, models, settings, jobs, as_json)
+        if chosen != Chosen():
+            raise CommandFailure(
+                "choosing reports needs the reports: name their files (docs/accidents.md says "
+                "where to get them)"
+            )
+        return _shipped(statistics, as_json)
     reports = [r for r in read(paths) if r in group]
     if not reports:
         raise CommandFailure(
@@ -149,6 +152,69 @@ def _run_models(
         )
     else:
         _print_models(group, settings, rows, trains, counts)
+    if failed:
+        note(f"derail: {count(failed, 'run')} failed")
+    return FAILED if failed else OK
+
+
+def _run_mean_trains(
+    statistics: Statistics,
+    group: Group,
+    models: Sequence[str],
+    settings: Sequence[str],
+    jobs: int | None,
+    as_json: bool,
+) -> int:
+    """Run the mean trains of the shipped averages."""
+    from rich.table import Table
+
+    from derail_ros.baselines import reenact as r
+    from derail_ros.scenario import parse_set
+    from derail_ros.studies.accidents import GROUPS
+
+    name = next((name for name, known in GROUPS.items() if known == group), None)
+    if name is None:
+        raise CommandFailure(
+            f"there are no averages of: {group.words}; there are those of: "
+            f"{'; '.join(g.words for g in GROUPS.values())}. For others name the files of reports"
+        )
+    common.load("base_train", settings)  # a mistake in a setting is told before the first run
+    classes = [c for c in statistics.groups[name] if c.mass_kg is not None]
+    trains = [r.mean_report(c) for c in classes]
+    ways = [
+        r.Way(model, model, dict(parse_set(text) for text in settings))
+        for model in dict.fromkeys(models)
+    ]
+    common.warm_up()
+    counts = r.reenact(trains, ways, jobs=jobs)
+    failed = sum(value is None for values in counts.values() for value in values)
+    if as_json:
+        common.print_json(
+            {
+                "group": group.words,
+                "settings": list(settings),
+                "mean_trains": [
+                    {"cars": t.cars, "mass_kg": t.mass_kg, "speed_kmh": t.speed_kmh,
+                     "reported": {"mean": c.mean, "error": c.error, "reports": c.reports},
+                     "models": {label: values[k] for label, values in counts.items()}}
+                    for k, (c, t) in enumerate(zip(classes, trains, strict=True))
+                ],
+            }
+        )  # fmt: skip
+        return FAILED if failed else OK
+    console = common.out()
+    words = f", {', '.join(settings)}" if settings else ""
+    console.print(f"Cars derailed of mean trains: {group.words}{words}", soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("speed, km/h", "cars", "t a car", "reports", "reported", *counts):
+        table.add_column(heading, justify="right")
+    for k, (c, t) in enumerate(zip(classes, trains, strict=True)):
+        table.add_row(
+            f"{t.speed_kmh:.0f}", str(t.cars), f"{(t.mass_kg or 0.0) * 1e-3:.0f}",
+            str(c.reports), r.with_error(c.mean, c.error),
+            *("-" if v is None else f"{v:.0f}" for v in (values[k] for values in counts.values())),
+        )  # fmt: skip
+    console.print(table)
     if failed:
         note(f"derail: {count(failed, 'run')} failed")
     return FAILED if failed else OK

@@ -253,6 +253,8 @@ class SpeedClass:
     speed_kmh : their mean
     mean, error : of the cars derailed, and its standard error (0 of a single report)
     median, q90 : of the cars derailed
+    behind : mean number of cars from the first one involved to the end
+    mass_kg : mean of the mean masses of a car, where they can be right; None: nowhere
     """
 
     low_kmh: float
@@ -263,6 +265,8 @@ class SpeedClass:
     error: float
     median: float
     q90: float
+    behind: float
+    mass_kg: float | None
 
 
 def error_of_mean(values: Any) -> float:
@@ -286,10 +290,13 @@ def by_speed(reports: Iterable[Report]) -> list[SpeedClass]:
     for low, high, chosen in in_classes(reports):
         n = [r.derailed for r in chosen]
         speed = float(np.mean([r.speed_kmh for r in chosen]))
+        masses = [r.mass_kg for r in chosen if r.mass_kg is not None]
         found.append(
             SpeedClass(
                 low, high, len(n), speed, float(np.mean(n)), error_of_mean(n),
                 float(np.median(n)), float(np.quantile(n, 0.9)),
+                float(np.mean([r.behind for r in chosen])),
+                float(np.mean(masses)) if masses else None,
             )
         )  # fmt: skip
     return found
