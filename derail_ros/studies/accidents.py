@@ -12,8 +12,11 @@ with the package (:func:`load_statistics`); the reports themselves are the user'
 
 from __future__ import annotations
 
+import codecs
 import csv
+import io
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib.resources import files
@@ -21,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from derail_ros.counts import count
 
 KMH_PER_MPH = 1.609344
 KG_PER_SHORT_TON = 907.18474
@@ -36,6 +41,9 @@ BROKEN_RAIL = (
 
 MASSES = (20e3, 150e3)
 """Mean masses of a car (kg) outside of which a report's weight or number of cars is wrong."""
+
+MOST_CARS = 1000
+"""Of a freight train; a report of more is wrong."""
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     "railroad": ("RAILROAD", "Reporting Railroad Code"),
@@ -103,41 +111,62 @@ class Report:
 # Reading --------------------------------------------------------------------------------------
 
 
-def _columns(heads: Sequence[str], path: Path) -> dict[str, int]:
-    place = {head.strip().strip('"').casefold(): i for i, head in enumerate(heads)}
+def _columns(heads: Sequence[str], path: Path, line: int) -> dict[str, int]:
+    place = {head.strip().casefold(): i for i, head in enumerate(heads)}
     found = {}
     for key, names in COLUMNS.items():
         at = next((place[n.casefold()] for n in names if n.casefold() in place), None)
         if at is None:
             raise AccidentFileError(
-                f"{path}: line 1: has no column {' or '.join(names)}; it must be a table, with "
-                "headings, of reports on form FRA F 6180.54"
+                f"{path}: line {line}: has no column {' or '.join(names)}; it must be a table, "
+                "separated by commas, with headings, of reports on form FRA F 6180.54"
             )
         found[key] = at
     return found
 
 
-def _whole(text: str, key: str, heads: Sequence[str], at: int, where: str) -> int:
-    try:
-        value = float(text or 0)
-        if not 0.0 <= value < 1e7:
-            raise ValueError
-    except ValueError:
+_NUMBER = re.compile(r"(\d+|\d{1,3}(,\d{3})+)(\.\d*)?", re.ASCII)
+"""A number from 0 on as reports write it, with commas between thousands or without."""
+
+
+def _number(text: str, where: str, largest: float = 1e6) -> float:
+    """A number of a report; 0 where its place is empty."""
+    if text and not (_NUMBER.fullmatch(text) and float(text.replace(",", "")) <= largest):
+        shown = text if len(text) <= 20 else f"{text[:20]}..."
         raise AccidentFileError(
-            f"{where}: {heads[at].strip()}: must be a number from 0 on, not {text!r} ({key})"
-        ) from None
+            f"{where}: must be a number from 0 to {largest:.0f}, not {shown!r}"
+        )
+    return float(text.replace(",", "") or 0.0)
+
+
+def _whole(text: str, where: str, largest: float = MOST_CARS) -> int:
+    value = _number(text, where, largest)
+    if not value.is_integer():
+        raise AccidentFileError(f"{where}: must be a whole number, not {text!r}")
     return int(value)
+
+
+def _text(stream: io.BufferedReader) -> io.TextIOWrapper:
+    """As text: Latin-1, in which every byte is a character, unless there is a byte order mark."""
+    start = stream.peek(3)[:3]
+    encoding = "latin-1"
+    if start == codecs.BOM_UTF8:
+        encoding = "utf-8-sig"
+    elif start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        encoding = "utf-16"
+    return io.TextIOWrapper(stream, encoding, errors="replace", newline="")
 
 
 def read_reports(paths: Iterable[Path]) -> list[Report]:
     """Reports of freight trains derailed on main track, in the files' order, each one once.
 
+    Left out are reports without a speed or without a car derailed, those with more cars derailed
+    than the train had or with more than :data:`MOST_CARS`, and of several with the same railroad,
+    number and train the later ones.
+
     Parameters
     ----------
     paths : CSV files with a line of headings, the FRA's yearly ones or its portal's
-
-    Reports without a car derailed or without a speed are left out, and of several reports with
-    the same railroad, number and train the later ones.
 
     Raises
     ------
@@ -147,8 +176,8 @@ def read_reports(paths: Iterable[Path]) -> list[Report]:
     reports: dict[tuple[Any, ...], Report] = {}
     for path in paths:
         try:
-            with open(path, encoding="latin-1", newline="") as stream:
-                for report in _reports(csv.reader(stream), path):
+            with open(path, "rb") as stream, _text(stream) as text:
+                for report in _reports(csv.reader(text), path):
                     key = (report.railroad, report.number, report.year, report.cars, report.first)
                     reports.setdefault(key, report)
         except OSError as error:
@@ -159,39 +188,48 @@ def read_reports(paths: Iterable[Path]) -> list[Report]:
 
 
 def _reports(lines: Any, path: Path) -> Iterator[Report]:
-    heads = next(lines, None)
+    heads = next((cells for cells in lines if cells), None)
     if heads is None:
         raise AccidentFileError(f"{path}: is empty")
-    at = _columns(heads, path)
+    first = lines.line_num
+    at = _columns(heads, path, first)
     last = max(at.values())
     for cells in lines:
         if not cells:
             continue
         where = f"{path}: line {lines.line_num}"
         if len(cells) <= last:
-            raise AccidentFileError(f"{where}: has {len(cells)} columns, fewer than line 1")
-        if any(cells[at[k]].strip().upper() not in words for k, words in WANTED.items()):
+            raise AccidentFileError(
+                f"{where}: has {count(len(cells), 'column')}, fewer than line {first}"
+            )
+        text = {key: cells[i].strip() for key, i in at.items()}
+        if any(text[key].upper() not in words for key, words in WANTED.items()):
             continue
-        n = {
-            key: _whole(cells[at[key]].strip().replace(",", ""), key, heads, at[key], where)
-            for key in ("year", "speed", "first", "locomotives", "loaded", "empty",
-                        "loaded_derailed", "empty_derailed", "tons")
-        }  # fmt: skip
-        cars, derailed = n["loaded"] + n["empty"], n["loaded_derailed"] + n["empty_derailed"]
-        if not derailed or not cars or not n["speed"]:
+        place = {key: f"{where}: {heads[i].strip()}" for key, i in at.items()}
+        if not text["year"]:
+            raise AccidentFileError(f"{place['year']}: is empty")
+        year = _whole(text["year"], place["year"], 9999)
+        speed, tons = (_number(text[key], place[key]) for key in ("speed", "tons"))
+        position, locomotives, loaded, empty, loaded_derailed, empty_derailed = (
+            _whole(text[key], place[key])
+            for key in ("first", "locomotives", "loaded", "empty", "loaded_derailed",
+                        "empty_derailed")
+        )  # fmt: skip
+        cars, derailed = loaded + empty, loaded_derailed + empty_derailed
+        if not speed or not 0 < derailed <= cars <= MOST_CARS:
             continue
-        mass = n["tons"] * KG_PER_SHORT_TON / cars
+        mass = tons * KG_PER_SHORT_TON / cars
         yield Report(
-            cells[at["railroad"]].strip(),
-            cells[at["number"]].strip(),
-            n["year"],
-            n["speed"] * KMH_PER_MPH,
+            text["railroad"],
+            text["number"],
+            year,
+            speed * KMH_PER_MPH,
             cars,
-            n["loaded"],
+            loaded,
             derailed,
-            min(max(n["first"] - n["locomotives"], 1), cars),
+            min(max(position - locomotives, 1), cars),
             mass if MASSES[0] <= mass <= MASSES[1] else None,
-            cells[at["cause"]].strip().upper(),
+            text["cause"].upper(),
         )
 
 
@@ -282,6 +320,10 @@ def in_classes(reports: Iterable[Report]) -> Iterator[tuple[float, float, list[R
         chosen = [r for r in reports if a < r.speed_kmh <= b]
         if chosen:
             yield a, b, chosen
+
+
+CLASSES_TEXT = f"{EDGES_MPH[0] * KMH_PER_MPH:.0f} to {EDGES_MPH[-1] * KMH_PER_MPH:.0f} km/h"
+"""From the first to the last class of speed."""
 
 
 def by_speed(reports: Iterable[Report]) -> list[SpeedClass]:

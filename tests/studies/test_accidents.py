@@ -72,12 +72,32 @@ def test_a_report(tmp_path, row):
 @pytest.mark.parametrize(
     "other",
     [{"TYPE": "02"}, {"TYPEQ": "7"}, {"TYPTRK": "2"}, {"LOADF2": "0", "EMPTYF2": "0"},
-     {"TRNSPD": ""}, {"TRNSPD": "0"}, {"LOADF1": "0", "EMPTYF1": "0"}],
+     {"TRNSPD": ""}, {"TRNSPD": "0"}, {"LOADF1": "0", "EMPTYF1": "0"}, {"LOADF2": "110"},
+     {"LOADF1": "991"}],
     ids=str,
 )  # fmt: skip
 def test_reports_that_are_left_out(tmp_path, other):
     path = write(tmp_path / "x.csv", YEARLY | other, YEARLY | {"INCDTNO": "A2"})
     assert [r.number for r in a.read_reports([path])] == ["A2"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_byte_order_mark_is_no_part_of_the_first_heading(tmp_path, encoding):
+    path = tmp_path / "x.csv"
+    with open(path, "w", encoding=encoding, newline="") as stream:
+        out = csv.DictWriter(stream, list(YEARLY))
+        out.writeheader()
+        out.writerow(YEARLY)
+    assert [r.number for r in a.read_reports([path])] == ["A1"]
+
+
+def test_numbers_as_they_are_written(tmp_path):
+    path = write(
+        tmp_path / "x.csv", YEARLY | {"TRNSPD": "39.5", "TONS": "12,100.", "LOADF1": "100.0"}
+    )
+    (report,) = a.read_reports([path])
+    assert (report.speed_kmh, report.loaded) == (39.5 * 1.609344, 100)
+    assert report.mass_kg == 12100 * 907.18474 / 110
 
 
 def test_a_report_in_two_files_counts_once_two_trains_of_it_twice(tmp_path):
@@ -105,14 +125,34 @@ def test_the_place_of_the_first_car_stays_within_the_train(tmp_path):
     ("text", "words"),
     [
         ("", "x.csv: is empty"),
+        ("\n\n", "x.csv: is empty"),
         ("a,b\n1,2\n", "x.csv: line 1: has no column RAILROAD or Reporting Railroad Code"),
+        ("\na,b\n1,2\n", "x.csv: line 2: has no column RAILROAD"),
         (None, "x.csv: line 3: has 3 columns, fewer than line 1"),
-        ({"TRNSPD": "fast"}, "x.csv: line .*: TRNSPD: must be a number from 0 on, not 'fast'"),
-        ({"TONS": "-5"}, "x.csv: line .*: TONS: must be a number from 0 on, not '-5'"),
+        ({"TRNSPD": "fast"}, "x.csv: line .*: TRNSPD: must be a number from 0 to .*, not 'fast'"),
+        ({"TRNSPD": "39,5"}, "x.csv: line .*: TRNSPD: .* not '39,5'"),
+        ({"TONS": "-5"}, "x.csv: line .*: TONS: must be a number from 0 to .*, not '-5'"),
         ({"LOADF1": "nan"}, "x.csv: line .*: LOADF1: .* not 'nan'"),
-        ({"LOADF1": "1e99"}, "x.csv: line .*: LOADF1: .* not '1e99'"),
+        ({"LOADF1": "1e9"}, "x.csv: line .*: LOADF1: .* not '1e9'"),
+        ({"LOADF1": "9" * 400}, r"x.csv: line .*: LOADF1: .* to 1000, not '9{20}\.\.\.'"),
+        ({"EMPTYF2": "1.5"}, "x.csv: line .*: EMPTYF2: must be a whole number, not '1.5'"),
+        ({"YEAR4": ""}, "x.csv: line .*: YEAR4: is empty"),
     ],
-    ids=["empty", "no columns", "short", "word", "negative", "nan", "huge"],
+    ids=[
+        "empty",
+        "blank lines",
+        "no columns",
+        "later heading",
+        "short",
+        "word",
+        "comma",
+        "negative",
+        "nan",
+        "exponent",
+        "huge",
+        "fraction",
+        "no year",
+    ],
 )
 def test_a_file_that_is_wrong_is_told_by_line_and_column(tmp_path, capsys, text, words):
     path = tmp_path / "x.csv"
