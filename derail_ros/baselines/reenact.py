@@ -8,9 +8,10 @@ brakes, the start) is that of the base train. No constant is fitted to the repor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,13 +61,17 @@ WAYS: tuple[Way, ...] = (
 )
 
 
+GIVEN = ("train.speed_kmh", "train.consist.0.count", "train.consist.0.mass_kg")
+"""What a report says of its train, as paths of the base train."""
+
+
 def train_of(base: Scenario, report: Report) -> TrainParams:
     """The train of a report from its first car involved on.
 
     Parameters
     ----------
     base : a train of equal cars: gives the car, its brake, the ground and the start
-    report : gives the number of cars (``behind``), the speed, and their mass; the yaw inertia is
+    report : gives the speed, the number of cars (``behind``) and their mass; the yaw inertia is
         in proportion to the mass
 
     Raises
@@ -76,12 +81,8 @@ def train_of(base: Scenario, report: Report) -> TrainParams:
     """
     if report.mass_kg is None:
         raise ValueError(f"{report.railroad} {report.number}: has no mass of a car")
-    train = base.with_overrides(
-        {"train.consist.0.count": report.behind, "train.speed_kmh": report.speed_kmh}
-    ).to_params()
-    mass = report.mass_kg
-    cars = tuple(replace(c, mass=mass, inertia=c.inertia * mass / c.mass) for c in train.cars)
-    return replace(train, cars=cars)
+    values = (report.speed_kmh, report.behind, report.mass_kg)
+    return base.with_overrides(dict(zip(GIVEN, values, strict=True))).to_params()
 
 
 def mean_report(one: SpeedClass) -> Report:
@@ -138,7 +139,7 @@ def reenact(
     with closing(run_many(runs(), jobs=jobs, task=task)) as stream:
         for done, result in enumerate(stream, 1):
             k, w = result.run.key
-            counts[ways[w].label][k] = result.value if result.error is None else None
+            counts[ways[w].label][k] = result.value
             if progress is not None:
                 progress(done, total)
     return counts
@@ -251,7 +252,9 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def with_error(mean: float, error: float) -> str:
-    """A mean and its standard error; the mean alone where there is none."""
+    """A mean and its standard error; the mean alone where there is none, a dash without both."""
+    if math.isnan(mean):
+        return "-"
     return f"{mean:.1f} ± {error:.1f}" if error else f"{mean:.1f}"
 
 
@@ -268,10 +271,15 @@ def statistics_table(statistics: Statistics) -> str:
             c = known.get(low)
             cells.append("-" if c is None else f"{with_error(c.mean, c.error)} ({c.reports})")
         rows.append([GROUPS[name].words, *cells])
-    quantiles = {c.low_kmh: c for c in groups["all"]}
+    every = {c.low_kmh: c for c in groups["all"]}
     rows.append(
         ["all causes: median, 90 % quantile",
-         *(f"{quantiles[low].median:g}, {quantiles[low].q90:g}" for low, _ in limits)]
+         *(f"{every[low].median:g}, {every[low].q90:g}" for low, _ in limits)]
+    )  # fmt: skip
+    rows.append(
+        ["all causes: cars behind, t a car",
+         *(f"{every[low].behind:.0f}, {or_dash((every[low].mass_kg or math.nan) / 1e3, '.0f')}"
+           for low, _ in limits)]
     )  # fmt: skip
     return _table(heads, rows)
 
@@ -293,39 +301,90 @@ def reenacted_table(reports: Sequence[Report], counts: Counts) -> str:
     return _table(heads, lines) + ("\n\n" + "; ".join(words) + "." if words else "")
 
 
-def agreement(reports: Sequence[Report], values: Sequence[float | None]) -> dict[str, float]:
-    """How a way's counts of single trains go with the reported ones.
+def rank_correlation(reports: Sequence[Report], values: Sequence[float]) -> float:
+    """Spearman's of values with the reported counts.
 
-    ``ratio`` of the means; ``rank``, Spearman's correlation; ``rank_reports``, that of the
-    reported counts with the speed alone; ``within``, share of trains within a factor of two.
+    NaN where there is none: of fewer than two reports, and where all are equal.
     """
     from scipy.stats import spearmanr
 
+    own = [r.derailed for r in reports]
+    if len(set(own)) < 2 or len(set(values)) < 2:
+        return math.nan
+    return float(spearmanr(own, values).statistic)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How counts of single trains go with the reported ones; NaN where nothing can be said.
+
+    Attributes
+    ----------
+    trains : number of those that have a count
+    ratio : of the means, counted over reported
+    rms : root mean square of the differences, cars
+    rank : Spearman's correlation
+    within : share of trains within a factor of two
+    """
+
+    trains: int
+    ratio: float
+    rms: float
+    rank: float
+    within: float
+
+
+def agreement(reports: Sequence[Report], values: Sequence[float | None]) -> Agreement:
+    """How a way's counts of single trains go with the reported ones."""
     pairs = [(r, v) for r, v in zip(reports, values, strict=True) if v is not None]
-    own = np.array([r.derailed for r, _ in pairs], dtype=float)
-    theirs = np.array([v for _, v in pairs])
-    speed = [r.speed_kmh for r, _ in pairs]
-    inside = (theirs <= 2.0 * own) & (own <= 2.0 * theirs)
-    return {
-        "trains": float(len(pairs)),
-        "ratio": float(theirs.mean() / own.mean()),
-        "rank": float(spearmanr(own, theirs).statistic),
-        "rank_speed": float(spearmanr(own, speed).statistic),
-        "within": float(inside.mean()),
+    if not pairs:
+        return Agreement(0, math.nan, math.nan, math.nan, math.nan)
+    trains, theirs = [r for r, _ in pairs], [v for _, v in pairs]
+    inside = [v <= 2.0 * r.derailed and r.derailed <= 2.0 * v for r, v in pairs]
+    squares = [(v - r.derailed) ** 2 for r, v in pairs]
+    return Agreement(
+        len(pairs),
+        sum(theirs) / sum(r.derailed for r in trains),
+        math.sqrt(sum(squares) / len(squares)),
+        rank_correlation(trains, theirs),
+        sum(inside) / len(inside),
+    )
+
+
+def means_of_classes(reports: Sequence[Report]) -> list[float | None]:
+    """For each report the mean reported count of its class of speed; None outside of all.
+
+    The best that can be said of a train from its class alone: what a model has to surpass.
+    """
+    means = {
+        id(r): float(np.mean([other.derailed for other in chosen]))
+        for *_, chosen in in_classes(reports)
+        for r in chosen
     }
+    return [means.get(id(r)) for r in reports]
 
 
-def agreement_table(reports: Sequence[Report], counts: Counts) -> str:
-    """:func:`agreement` of each way, and what the speed alone tells."""
-    found = {label: agreement(reports, values) for label, values in counts.items()}
-    heads = ["", "model / reported, means", "rank correlation", "within a factor of two"]
+AGREEMENT = ("", "of reported cars", "rms difference, cars", "rank correlation",
+             "within a factor of two")  # fmt: skip
+"""What is told of each way, see :class:`Agreement`."""
+
+
+def agreement_rows(reports: Sequence[Report], counts: Counts) -> list[list[str]]:
+    """:func:`agreement` of each way, and what the speed tells without a model."""
+    ways = {**counts, "reported, mean of the class": means_of_classes(reports)}
+    found = {label: agreement(reports, values) for label, values in ways.items()}
     rows = [
-        [label, f"{a['ratio']:.2f}", f"{a['rank']:.2f}", f"{100.0 * a['within']:.0f} %"]
+        [label, or_dash(a.ratio, ".2f"), or_dash(a.rms, ".1f"), or_dash(a.rank, ".2f"),
+         or_dash(a.within, ".0%")]
         for label, a in found.items()
-    ]
-    alone = next(iter(found.values()))["rank_speed"]
-    rows.append(["the speed alone", "-", f"{alone:.2f}", "-"])
-    return _table(heads, rows)
+    ]  # fmt: skip
+    alone = rank_correlation(reports, [r.speed_kmh for r in reports])
+    return [*rows, ["the speed alone", "-", "-", or_dash(alone, ".2f"), "-"]]
+
+
+def or_dash(value: float, form: str) -> str:
+    """A number, or a dash in the place of NaN."""
+    return "-" if math.isnan(value) else format(value, form).replace("%", " %")
 
 
 def mass_table(reports: Sequence[Report], counts: Counts, labels: Sequence[str]) -> str:
@@ -365,7 +424,7 @@ def blocks(results: Results, about: str) -> dict[str, str]:
         "about": about,
         "statistics": statistics_table(results.statistics),
         "broken_rail": reenacted_table(results.reports, results.counts),
-        "agreement": agreement_table(results.reports, results.counts),
+        "agreement": _table(AGREEMENT, agreement_rows(results.reports, results.counts)),
         "mass": mass_table(results.reports, results.counts, [plan.ways[0].label, plan.matched]),
         "all_causes": reenacted_table(results.every, results.every_counts),
     }

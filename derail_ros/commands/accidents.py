@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.counts import count
 
 if TYPE_CHECKING:
+    from derail_ros.baselines.reenact import Way
     from derail_ros.studies.accidents import Group, Report, SpeedClass, Statistics
 
 
@@ -30,6 +32,8 @@ class Chosen:
 
         if self.broken_rail and self.causes:
             raise CommandFailure("--broken-rail and --cause: give one of them")
+        if "" in self.causes:
+            raise CommandFailure("--cause: is empty")
         causes = BROKEN_RAIL if self.broken_rail else tuple(c.upper() for c in self.causes)
         return Group(causes, self.behind, self.loaded)
 
@@ -55,7 +59,7 @@ def run(
     as_json: bool,
 ) -> int:
     """Print averages of reports, and of the models if asked; the exit code."""
-    from derail_ros.studies.accidents import by_speed, load_statistics
+    from derail_ros.studies.accidents import CLASSES_TEXT, by_speed, load_statistics
 
     group = chosen.group()
     if settings and not models:
@@ -75,45 +79,57 @@ def run(
             )
         return _shipped(statistics, as_json)
     reports = [r for r in read(paths) if r in group]
+    names = ", ".join(map(str, paths))
     if not reports:
-        raise CommandFailure(
-            f"{', '.join(map(str, paths))}: no freight train derailed on main track: {group.words}"
-        )
-    if not models:
-        classes = by_speed(reports)
-        if as_json:
-            from dataclasses import asdict
+        raise CommandFailure(f"{names}: no freight train derailed on main track: {group.words}")
+    classes = by_speed(reports)
+    if not classes:
+        raise CommandFailure(f"{names}: no report of a speed of {CLASSES_TEXT}: {group.words}")
+    if models:
+        from derail_ros.baselines.reenact import sample
 
-            common.print_json(
-                {"group": group.words, "reports": len(reports),
-                 "classes": [asdict(c) for c in classes]}
-            )  # fmt: skip
-        else:
-            _print_classes(f"{group.words}: {count(len(reports), 'report')}", classes)
+        trains = sample(reports, most, seed)
+        if not trains:
+            raise CommandFailure(
+                f"{names}: no report has a weight that can be right: {group.words}"
+            )
+        return _run_models(trains, group, models, settings, jobs, as_json)
+    outside = len(reports) - sum(c.reports for c in classes)
+    if as_json:
+        common.print_json(
+            {"group": group.words, "reports": len(reports), "outside": outside,
+             "classes": [asdict(c) for c in classes]}
+        )  # fmt: skip
         return OK
-    return _run_models(reports, group, models, settings, most, seed, jobs, as_json)
+    _print_classes(group, classes, outside)
+    return OK
+
+
+def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
+    """Each model with these settings; a mistake in them is told here, before the first run."""
+    from derail_ros.baselines.reenact import GIVEN, Way
+    from derail_ros.scenario import parse_set
+
+    overrides = dict(parse_set(text) for text in settings)
+    for path in overrides:
+        if any(given == path or given.startswith(f"{path}.") for given in GIVEN):
+            raise CommandFailure(f"--set: {path}: is that of each report")
+    common.load("base_train", settings)
+    return [Way(name, name, overrides) for name in dict.fromkeys(models)]
 
 
 def _run_models(
-    reports: Sequence[Report],
+    trains: Sequence[Report],
     group: Group,
     models: Sequence[str],
     settings: Sequence[str],
-    most: int,
-    seed: int,
     jobs: int | None,
     as_json: bool,
 ) -> int:
     from derail_ros.baselines import reenact as r
     from derail_ros.engine import ParameterError
-    from derail_ros.scenario import parse_set
 
-    overrides = dict(parse_set(text) for text in settings)
-    common.load("base_train", settings)  # a mistake in a setting is told before the first run
-    trains = r.sample(reports, most, seed)
-    if not trains:
-        raise CommandFailure(f"no report has a weight that can be right: {group.words}")
-    ways = [r.Way(name, name, overrides) for name in dict.fromkeys(models)]
+    ways = _ways(models, settings)
     common.warm_up()
     with common.progress(*common.counting_columns()) as bars:
         task = bars.add_task("accidents", total=len(trains) * len(ways))
@@ -125,6 +141,7 @@ def _run_models(
         except ParameterError as error:
             raise CommandFailure(f"base_train: {error}") from None
     rows = r.averages(trains, counts)
+    speeds = [train.speed_kmh for train in trains]
     failed = sum(value is None for values in counts.values() for value in values)
     if as_json:
         common.print_json(
@@ -136,18 +153,15 @@ def _run_models(
                         "trains": n,
                         "speed_kmh": speed,
                         "reported": {"mean": own.mean, "error": own.error},
-                        "models": {
-                            label: {
-                                "mean": None if c.failed == n else c.mean,
-                                "error": c.error,
-                                "failed": c.failed,
-                            }
-                            for label, c in cells.items()
-                        },
+                        "models": {label: _plain(c) for label, c in cells.items()},
                     }
                     for n, speed, own, cells in rows
                 ],
-                "agreement": {k: r.agreement(trains, values) for k, values in counts.items()},
+                "agreement": {
+                    label: _plain(r.agreement(trains, values)) for label, values in counts.items()
+                },
+                "class_mean": _plain(r.agreement(trains, r.means_of_classes(trains))),
+                "rank_speed": _or_none(r.rank_correlation(trains, speeds)),
             }
         )
     else:
@@ -169,7 +183,6 @@ def _run_mean_trains(
     from rich.table import Table
 
     from derail_ros.baselines import reenact as r
-    from derail_ros.scenario import parse_set
     from derail_ros.studies.accidents import GROUPS
 
     name = next((name for name, known in GROUPS.items() if known == group), None)
@@ -178,13 +191,9 @@ def _run_mean_trains(
             f"there are no averages of: {group.words}; there are those of: "
             f"{'; '.join(g.words for g in GROUPS.values())}. For others name the files of reports"
         )
-    common.load("base_train", settings)  # a mistake in a setting is told before the first run
+    ways = _ways(models, settings)
     classes = [c for c in statistics.groups[name] if c.mass_kg is not None]
     trains = [r.mean_report(c) for c in classes]
-    ways = [
-        r.Way(model, model, dict(parse_set(text) for text in settings))
-        for model in dict.fromkeys(models)
-    ]
     common.warm_up()
     counts = r.reenact(trains, ways, jobs=jobs)
     failed = sum(value is None for values in counts.values() for value in values)
@@ -244,13 +253,22 @@ def _print_models(
             *(r.with_error(c.mean, c.error) for c in cells.values()),
         )  # fmt: skip
     console.print(table)
-    for label, values in counts.items():
-        a = r.agreement(trains, values)
-        console.print(
-            f"{label}: {a['ratio']:.2f} of the reported cars; rank correlation over the trains "
-            f"{a['rank']:.2f} (of the speed alone {a['rank_speed']:.2f}); "
-            f"{100.0 * a['within']:.0f} % within a factor of two"
-        )
+    console.print()
+    table = Table(box=None, pad_edge=False)
+    for heading in r.AGREEMENT:
+        table.add_column(heading, justify="right" if heading else "left")
+    for row in r.agreement_rows(trains, counts):
+        table.add_row(*row)
+    console.print(table)
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _plain(value: Any) -> dict[str, float | None]:
+    """Of a dataclass of numbers, for JSON."""
+    return {key: _or_none(x) for key, x in asdict(value).items()}
 
 
 def _shipped(statistics: Any, as_json: bool) -> int:
@@ -266,12 +284,11 @@ def _shipped(statistics: Any, as_json: bool) -> int:
         soft_wrap=True,
     )
     for name, classes in statistics.groups.items():
-        n = sum(c.reports for c in classes)
-        _print_classes(f"{GROUPS[name].words}: {count(n, 'report')}", classes)
+        _print_classes(GROUPS[name], classes)
     return OK
 
 
-def _print_classes(title: str, classes: Sequence[SpeedClass]) -> None:
+def _print_classes(group: Group, classes: Sequence[SpeedClass], outside: int = 0) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -283,6 +300,9 @@ def _print_classes(title: str, classes: Sequence[SpeedClass]) -> None:
             f"{c.error:.1f}" if c.reports > 1 else "-", f"{c.median:.0f}", f"{c.q90:.0f}",
         )  # fmt: skip
     console = common.out()
+    title = f"{group.words}: {count(sum(c.reports for c in classes), 'report')}"
+    if outside:
+        title += f", and {outside} of other speeds"
     console.print(title[0].upper() + title[1:], soft_wrap=True)
     console.print(table)
     console.print()
@@ -319,9 +339,11 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
         except ValueError as error:
             raise CommandFailure(f"{', '.join(map(str, paths))}: {error}") from None
     first, last = results.statistics.years
+    outside = len(reports) - sum(c.reports for c in results.statistics.groups["all"])
     about = (
         f"<sub>`derail accidents FILES --write` with the {len(paths)} files of {first} to {last}: "
-        f"{len(reports)} freight trains derailed on main track. One run a train and model, no "
+        f"{len(reports)} freight trains derailed on main track, {outside} of them at speeds "
+        f"outside {a.CLASSES_TEXT}, which are in no table. One run a train and model, no "
         f"ensemble; of all causes at most {plan.every} trains of a class of speed, drawn with "
         f"seed {seed}. Mean ± its standard error. Engine {source_hash()[:16]}.</sub>"
     )

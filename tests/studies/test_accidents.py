@@ -256,10 +256,11 @@ def test_the_train_of_a_report(tmp_path):
     train = reenact.train_of(base, report)
     assert len(train.cars) == report.behind == 101
     assert {c.mass for c in train.cars} == {report.mass_kg}
+    assert {c.brakes[0].weight for c in train.cars} == {report.mass_kg}
     own = base.to_params()
     for old, new in zip(own.cars, train.cars, strict=False):
         assert new.inertia / new.mass == pytest.approx(old.inertia / old.mass)
-        assert replace(new, mass=old.mass, inertia=old.inertia) == old
+        assert replace(new, mass=old.mass, inertia=old.inertia, brakes=old.brakes) == old
     # the signal of the brakes has as far to go as in a train of this length
     lengths = [2.0 * c.pivot_distance + c.front.length + c.rear.length for c in train.cars]
     assert train.cars[-1].brakes[0].distance == pytest.approx(sum(lengths[:-1]), rel=0.02)
@@ -344,12 +345,29 @@ def test_sample_takes_at_most_so_many_of_a_class_and_the_same_again(tmp_path):
 def test_agreement():
     reports = [replace(REPORT, derailed=n, speed_kmh=v) for n, v in ((2, 90), (4, 20), (12, 50))]
     found = reenact.agreement(reports, [4.0, 5.0, 30.0])
-    assert found["trains"] == 3
-    assert found["ratio"] == pytest.approx(39 / 18)
-    assert found["rank"] == pytest.approx(1.0)
-    assert found["rank_speed"] == pytest.approx(-0.5)
-    assert found["within"] == pytest.approx(2 / 3)  # twice as many still counts
-    assert reenact.agreement(reports, [4.0, None, 30.0])["trains"] == 2
+    assert found.trains == 3
+    assert found.ratio == pytest.approx(39 / 18)
+    assert found.rms == pytest.approx(math.sqrt((4 + 1 + 324) / 3))
+    assert found.rank == pytest.approx(1.0)
+    assert found.within == pytest.approx(2 / 3)  # twice as many still counts
+    assert reenact.agreement(reports, [4.0, None, 30.0]).trains == 2
+    assert reenact.rank_correlation(reports, [r.speed_kmh for r in reports]) == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize("values", [[4.0], [4.0, 4.0, 4.0], [None, None]], ids=str)
+@pytest.mark.filterwarnings("error")
+def test_where_there_is_no_correlation_there_is_a_dash(values):
+    reports = [replace(REPORT, number=str(k), derailed=3 + k) for k in range(len(values))]
+    assert math.isnan(reenact.agreement(reports, values).rank)
+    row = reenact.agreement_rows(reports, {"x": values})[0]
+    some = values[0] is not None
+    assert [cell == "-" for cell in row] == [False, not some, not some, True, not some]
+
+
+def test_the_mean_of_its_class_is_what_a_model_has_to_surpass():
+    reports = [replace(REPORT, number=str(k), derailed=n, speed_kmh=v)
+               for k, (n, v) in enumerate([(2, 60), (4, 60), (9, 80), (30, 300)])]  # fmt: skip
+    assert reenact.means_of_classes(reports) == [3.0, 3.0, 9.0, None]
 
 
 REPORT = a.Report("X", "1", 2010, 60.0, 60, 60, 10, 1, 100e3, "T207")
@@ -393,7 +411,9 @@ def test_the_page(many, tmp_path, capsys, monkeypatch):
     assert cells(text, "all_causes", "trains") == ["2", "2"]
     ratio = sum(results.counts[label]) / sum(r.derailed for r in results.reports)
     assert cells(text, "agreement", label)[0] == f"{ratio:.2f}"
-    assert "7 freight trains derailed" in text
+    assert cells(text, "agreement", "reported, mean of the class")[0] == "1.00"
+    assert cells(text, "statistics", "all causes: cars behind, t a car") == ["48, 86", "61, 104"]
+    assert "7 freight trains derailed on main track, 0 of them at speeds outside 8 to" in text
     images = {p.name for p in (tmp_path / "images").iterdir()}
     assert images == set(reenact.figures(results))
     assert (tmp_path / "data" / a.SHIPPED).is_file()
@@ -421,7 +441,41 @@ def test_models_by_the_command(many, capsys):
     assert main(["accidents", str(many), "-m", "toma", "--most", "1"]) == 0
     out = capsys.readouterr().out
     assert "means of 2 trains: all causes" in out
-    assert "of the reported cars; rank correlation" in out
+    assert re.search(r"^toma +\d\.\d\d +\d+\.\d ", out, re.MULTILINE)
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_train_has_no_correlation(many, capsys):
+    arguments = ["accidents", str(many), "--cause", "E53C", "-m", "blockage", "-j", "1"]
+    assert main([*arguments, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["agreement"]["blockage"]["rank"] is None
+    assert told["agreement"]["blockage"]["trains"] == 1
+    assert told["rank_speed"] is None
+    assert main(arguments) == 0
+    assert "nan" not in capsys.readouterr().out
+
+
+def test_reports_of_other_speeds_are_counted_beside_the_classes(tmp_path, capsys):
+    rows = [YEARLY | {"INCDTNO": v, "TRNSPD": v} for v in ("5", "40", "95")]
+    path = str(write(tmp_path / "x.csv", *rows))
+    assert main(["accidents", path]) == 0
+    assert "All causes: 1 report, and 2 of other speeds" in capsys.readouterr().out
+    assert main(["accidents", path, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["reports"], told["outside"], len(told["classes"])) == (3, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [({"TRNSPD": "5"}, "no report of a speed of 8 to 145 km/h: all causes"),
+     ({"TONS": "0"}, "no report has a weight that can be right: all causes")],
+    ids=str,
+)  # fmt: skip
+def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words):
+    path = write(tmp_path / "x.csv", YEARLY | other, YEARLY | {"INCDTNO": "2", "TRNSPD": "3"})
+    assert main(["accidents", str(path), "-m", "toma"]) == 2
+    assert capsys.readouterr() == ("", f"derail: {path}: {words}\n")
 
 
 @pytest.mark.parametrize(
@@ -435,6 +489,9 @@ def test_models_by_the_command(many, capsys):
         (["{many}", "--set", "train.speed_kmh=60"], "--set: is for the trains"),
         (["{many}", "-m", "tome"], "--model: there is no 'tome'"),
         (["{many}", "-m", "toma", "--set", "brakes.delay=3"], "brakes.delay: unknown key"),
+        (["{many}", "-m", "toma", "--set", "train.speed_kmh=60"], "speed_kmh: is that of each"),
+        (["{many}", "-m", "toma", "--set", "train.consist=[]"], "train.consist: is that of each"),
+        (["{many}", "--cause", ""], "--cause: is empty"),
         (["{many}", "--cause", "Z9"], "no freight train derailed on main track: Z9"),
         (["{many}", "--behind", "500"], "500 or more cars behind"),
         (["/no/such.csv"], "/no/such.csv: No such file"),
