@@ -228,6 +228,10 @@ def accidents(
             "--set", metavar="PATH=VALUE", help="Change the base train, e.g. brakes.delay_s=10."
         ),
     ] = None,
+    report: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER", help="Print the train of this report as a scenario."),
+    ] = None,
     most: Annotated[
         int, typer.Option(min=1, help="Trains run of each class of speed, at most.")
     ] = 100,
@@ -248,6 +252,8 @@ def accidents(
     from derail_ros.commands import accidents as command
 
     chosen = command.Chosen(broken_rail, tuple(causes or ()), behind, loaded)
+    if report is not None:
+        return command.print_scenario(reports or [], report, settings or [])
     if write:
         given = chosen != command.Chosen() or bool(models) or bool(settings)
         return command.write_page(reports or [], to, seed, jobs, given)

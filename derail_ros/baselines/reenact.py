@@ -20,6 +20,7 @@ from derail_ros.baselines.models import run_model
 from derail_ros.counts import count
 from derail_ros.studies.accidents import (
     GROUPS,
+    SOURCE,
     Group,
     Report,
     SpeedClass,
@@ -65,8 +66,8 @@ GIVEN = ("train.speed_kmh", "train.consist.0.count", "train.consist.0.mass_kg")
 """What a report says of its train, as paths of the base train."""
 
 
-def train_of(base: Scenario, report: Report) -> TrainParams:
-    """The train of a report from its first car involved on.
+def scenario_of(base: Scenario, report: Report) -> Scenario:
+    """The train of a report from its first car involved on, as a scenario.
 
     Parameters
     ----------
@@ -82,7 +83,30 @@ def train_of(base: Scenario, report: Report) -> TrainParams:
     if report.mass_kg is None:
         raise ValueError(f"{report.railroad} {report.number}: has no mass of a car")
     values = (report.speed_kmh, report.behind, report.mass_kg)
-    return base.with_overrides(dict(zip(GIVEN, values, strict=True))).to_params()
+    return base.with_overrides(dict(zip(GIVEN, values, strict=True)))
+
+
+def train_of(base: Scenario, report: Report) -> TrainParams:
+    """Parameters of :func:`scenario_of`."""
+    return scenario_of(base, report).to_params()
+
+
+def told_scenario(base: Scenario, report: Report) -> Scenario:
+    """:func:`scenario_of` with the report in its title and description."""
+    return scenario_of(base, report).with_overrides(
+        {
+            "title": f"{report.railroad} {report.number}, {report.year}: "
+            f"{report.cars} cars at {report.speed_kmh:.0f} km/h",
+            "description": (
+                f"The train of an accident report (FRA form 54), cause "
+                f"{report.cause or 'not given'}: {report.cars} freight cars, {report.loaded} of "
+                f"them loaded, car {report.first} the first one involved; "
+                f"{count(report.derailed, 'car')} derailed. The train here begins with that car. "
+                "Lengths, couplers, brakes and the start are not reported: those of base_train."
+            ),
+            "source": SOURCE,
+        }
+    )
 
 
 def mean_report(one: SpeedClass) -> Report:

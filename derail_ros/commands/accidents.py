@@ -105,6 +105,28 @@ def run(
     return OK
 
 
+def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str]) -> int:
+    """Print the train of a report as a scenario; the exit code."""
+    from derail_ros.baselines.reenact import told_scenario
+
+    if not paths:
+        raise CommandFailure("--report: name the files of the reports")
+    found = [r for r in read(paths) if r.number.casefold() == number.strip().casefold()]
+    if len(found) != 1:
+        where = ", ".join(f"{r.railroad} {r.year}, {count(r.cars, 'car')}" for r in found)
+        raise CommandFailure(
+            f"--report: {len(found)} freight trains derailed on main track have the number "
+            f"{number!r}" + (f": {where}" if found else "")
+        )
+    _ways([], settings)
+    try:
+        scenario = told_scenario(common.load("base_train", settings), found[0])
+    except ValueError as error:
+        raise CommandFailure(f"--report: {error}") from None
+    print(scenario.to_yaml(), end="")
+    return OK
+
+
 def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
     """Each model with these settings; a mistake in them is told here, before the first run."""
     from derail_ros.baselines.reenact import GIVEN, Way

@@ -292,6 +292,21 @@ def test_reenacted_counts_are_those_of_single_runs(many):
     assert cells["now"].error == pytest.approx(np.std(counts["now"][4:], ddof=1) / math.sqrt(n))
 
 
+def test_a_report_as_a_scenario(many, tmp_path, capsys):
+    arguments = ["accidents", str(many), "--report", "3", "--set", "brakes.delay_s=10"]
+    assert main(arguments) == 0
+    path = tmp_path / "accident.yaml"
+    path.write_text(capsys.readouterr().out, encoding="utf-8")
+    scenario = load_scenario(str(path))
+    assert scenario.title == "BNSF 3, 2010: 60 cars at 19 km/h"
+    (report,) = (r for r in a.read_reports([many]) if r.number == "3")
+    late = load_scenario("base_train").with_overrides({"brakes.delay_s": 10.0})
+    assert scenario.to_params() == reenact.train_of(late, report)
+    assert "cause T204: 60 freight cars, 60 of them loaded, car 3 the first" in path.read_text(
+        encoding="utf-8"
+    ).replace("\n ", "")
+
+
 @pytest.mark.parametrize("delay", [0.0, 10.0])
 def test_mean_trains_beside_what_was_reported(delay):
     """As the thesis found with statistics of its time: 10 s late as many, at once too few."""
@@ -495,6 +510,13 @@ def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words)
         (["{many}", "--cause", "Z9"], "no freight train derailed on main track: Z9"),
         (["{many}", "--behind", "500"], "500 or more cars behind"),
         (["/no/such.csv"], "/no/such.csv: No such file"),
+        (["--report", "3"], "--report: name the files"),
+        (
+            ["{many}", "--report", "nine"],
+            "0 freight trains derailed on main track have the number",
+        ),
+        (["{many}", "--report", "6"], "--report: BNSF 6: has no mass of a car"),
+        (["{many}", "--report", "3", "--set", "train.speed_kmh=9"], "is that of each report"),
         (["--write"], "name the files"),
         (["{many}", "--write", "--behind", "3"], "page's own cases"),
         (["{many}", "--write", "--to", "/no/such/page.md"], "/no/such"),
