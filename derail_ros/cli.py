@@ -253,10 +253,11 @@ def accidents(
 
     chosen = command.Chosen(broken_rail, tuple(causes or ()), behind, loaded)
     if report is not None:
-        return command.print_scenario(reports or [], report, settings or [])
+        more = chosen != command.Chosen() or bool(models) or as_json or write
+        return command.print_scenario(reports or [], report, settings or [], more)
     if write:
-        given = chosen != command.Chosen() or bool(models) or bool(settings)
-        return command.write_page(reports or [], to, seed, jobs, given)
+        more = chosen != command.Chosen() or bool(models) or bool(settings) or as_json
+        return command.write_page(reports or [], to, seed, jobs, more)
     return command.run(
         reports or [], chosen, models or [], settings or [], most, seed, jobs, as_json
     )

@@ -105,10 +105,12 @@ def run(
     return OK
 
 
-def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str]) -> int:
+def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str], more: bool) -> int:
     """Print the train of a report as a scenario; the exit code."""
     from derail_ros.baselines.reenact import told_scenario
 
+    if more:
+        raise CommandFailure("--report: prints a scenario, with no other choice than --set")
     if not paths:
         raise CommandFailure("--report: name the files of the reports")
     found = [r for r in read(paths) if r.number.casefold() == number.strip().casefold()]

@@ -511,6 +511,9 @@ def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words)
         (["{many}", "--behind", "500"], "500 or more cars behind"),
         (["/no/such.csv"], "/no/such.csv: No such file"),
         (["--report", "3"], "--report: name the files"),
+        (["{many}", "--report", "3", "-m", "toma"], "--report: prints a scenario, with no other"),
+        (["{many}", "--report", "3", "--write"], "--report: prints a scenario, with no other"),
+        (["{many}", "--write", "--json"], "page's own cases"),
         (
             ["{many}", "--report", "nine"],
             "0 freight trains derailed on main track have the number",
