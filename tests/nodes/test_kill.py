@@ -129,6 +129,8 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
         assert made.ask("trigger_emergency_brake", mode=1).success
         goes_on(made, 2.0)
         last = stamp_of(made.heard["train_state"][-1])
+        # What is under way when its sender is killed may reach one listener and not the other.
+        goes_on(made, 0.2)
         left = segments(simulator)
         killed(made, simulator)
         assert left and all(file.exists() for file in left)
@@ -147,8 +149,7 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
     heard = stamps(tmp_path / "heard")
     manifest = read_manifest(tmp_path / "heard")
     assert manifest.messages["/train_state"] == len(heard)
-    # What is under way when its sender is killed reaches one and not the other.
-    assert without_gaps(heard) and heard[0] == 0 and heard[-1] >= last - 200_000_000
+    assert without_gaps(heard) and heard[0] == 0 and heard[-1] >= last
     assert main(["repair", str(tmp_path / "own")]) == 0, capsys.readouterr().err
     times = stamps(tmp_path / "own_repaired")
     assert without_gaps(times) and times[0] == 0 and times[-1] > last - 1_250_000_000
