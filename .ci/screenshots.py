@@ -14,8 +14,8 @@ sys.path.insert(0, str(ROOT))
 
 from derail_ros.engine import Simulation  # noqa: E402
 from derail_ros.recording import record_run  # noqa: E402
+from derail_ros.recording.reader import read_bag  # noqa: E402
 from derail_ros.review import figures, replay  # noqa: E402
-from derail_ros.review.bag import read_bag  # noqa: E402
 from derail_ros.review.summary import final_scene  # noqa: E402
 from derail_ros.scenario import load_scenario  # noqa: E402
 from tests.review.conftest import start_browser  # noqa: E402

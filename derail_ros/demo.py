@@ -184,8 +184,8 @@ def last_messages(bag: Path) -> dict[str, Any]:
 
 def scene(last: dict[str, Any], title: str) -> Any:
     """The scene at the end of a recording."""
+    from derail_ros.recording.reader import rest_time
     from derail_ros.review import words
-    from derail_ros.review.bag import rest_time
     from derail_ros.review.scene import Scene
 
     consist, state, outcome, track = (
@@ -243,8 +243,8 @@ def comparison(outcome: Any, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
 
+    from derail_ros.recording.reader import rest_time
     from derail_ros.review import words
-    from derail_ros.review.bag import rest_time
 
     rest = rest_time(outcome)
     pair = f"car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else "-"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derail_ros.engine.params import TrainParams
+from derail_ros.vocabulary.params import TrainParams
 from msg_adapters.common import (
     NANOSECONDS,
     SENTINEL,

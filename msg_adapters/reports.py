@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derail_ros.engine.events import Collision, Event, EventKind
-from derail_ros.engine.params import DerailmentParams, TrainParams
-from derail_ros.review.severity import severity
+from derail_ros.vocabulary.events import Collision, Event, EventKind
+from derail_ros.vocabulary.params import DerailmentParams, TrainParams
+from derail_ros.vocabulary.severity import severity
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
 from msg_adapters.definitions import message_class
 

@@ -32,13 +32,6 @@ from numpy.typing import NDArray
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.dynamics import project_positions, project_velocities
-from derail_ros.engine.errors import (
-    ConstraintError,
-    NonFiniteStateError,
-    ParameterError,
-    StepSizeError,
-    TrackEndError,
-)
 from derail_ros.engine.forces import brake_force
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import smooth_direction
@@ -48,7 +41,6 @@ from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
 from derail_ros.engine.methods import RKF45
 from derail_ros.engine.outcome import car_corners, scene_box
-from derail_ros.engine.params import GRAVITY, TrainParams
 from derail_ros.engine.simulation import Simulation
 from derail_ros.engine.solver import (
     acceleration_gamma,
@@ -59,6 +51,14 @@ from derail_ros.engine.solver import (
 )
 from derail_ros.engine.stepper import apply_brakes, next_switch
 from derail_ros.engine.trigonometry import angles
+from derail_ros.vocabulary.errors import (
+    ConstraintError,
+    NonFiniteStateError,
+    ParameterError,
+    StepSizeError,
+    TrackEndError,
+)
+from derail_ros.vocabulary.params import GRAVITY, TrainParams
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.baselines.models import run_model
-from derail_ros.counts import count
 from derail_ros.studies.accidents import (
     GROUPS,
     SOURCE,
@@ -30,6 +29,7 @@ from derail_ros.studies.accidents import (
     statistics_of,
 )
 from derail_ros.studies.ensemble import Run, Stopped, run_many
+from derail_ros.vocabulary.counts import count
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.baselines.train import Brakes, ModelError, Train
-from derail_ros.engine.params import GRAVITY
+from derail_ros.vocabulary.params import GRAVITY
 
 F64 = NDArray[np.float64]
 

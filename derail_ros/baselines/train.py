@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine.params import GRAVITY, BrakeTrigger, Car, TrainParams
+from derail_ros.vocabulary.params import GRAVITY, BrakeTrigger, Car, TrainParams
 
 F64 = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from derail_ros.commands.review import bag_errors
 
 def run(bag: str, rate: float, start: float, loop: bool, paused: bool, clock: bool) -> int:
     """Play a recording; the exit code."""
-    from derail_ros.review.storage import open_bag
+    from derail_ros.recording.storage import open_bag
 
     if not math.isfinite(rate) or rate <= 0.0:
         raise CommandFailure(f"--rate: must be above zero, not {rate:g}")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from derail_ros.commands.common import OK
 from derail_ros.commands.review import bag_errors, warn
-from derail_ros.counts import count
+from derail_ros.vocabulary.counts import count
 
 
 def run(bag: str, output: Path | None) -> int:
     """Repair a recording; the exit code."""
-    from derail_ros.review.repair import repair
+    from derail_ros.recording.repair import repair
 
     with bag_errors():
         done = repair(bag, output)

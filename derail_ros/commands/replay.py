@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.review import bag_errors
-from derail_ros.counts import count
+from derail_ros.vocabulary.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
-    from derail_ros.recording.replay import Told
+    from derail_ros.recording.recomputation import Told
 
 
 def run(place: str, as_json: bool) -> int:
     """Replay and compare; the exit code."""
     from derail_ros.engine import ParameterError
-    from derail_ros.recording.replay import as_plain, engine_differs, replay
+    from derail_ros.recording.recomputation import as_plain, engine_differs, replay
     from derail_ros.scenario import ScenarioError
 
     manifest, told = _found(Path(place))
@@ -53,8 +53,8 @@ def _found(path: Path) -> tuple[Manifest, dict[str, Told] | None]:
     Of a recording without the file its messages tell scenario and commands.
     """
     from derail_ros.recording.manifest import FILE_NAME
-    from derail_ros.recording.replay import manifest_of, needed, told_by
-    from derail_ros.review.storage import BagError, NotABagError, check_version, open_bag
+    from derail_ros.recording.recomputation import manifest_of, needed, told_by
+    from derail_ros.recording.storage import BagError, NotABagError, check_version, open_bag
 
     if path.suffix == ".json":
         manifest = _manifest(path)

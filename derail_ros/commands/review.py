@@ -13,7 +13,7 @@ from derail_ros.commands.common import OK, CommandFailure, note
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.review.bag import Run
+    from derail_ros.recording.reader import Run
 
 
 def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> Run:
@@ -24,7 +24,7 @@ def read(path: str | Path, run: str | None = None, namespace: str | None = None)
     CommandFailure
         If it cannot be read.
     """
-    from derail_ros.review.bag import read_bag
+    from derail_ros.recording.reader import read_bag
 
     with bag_errors():
         found = read_bag(path, run, namespace)
@@ -35,7 +35,7 @@ def read(path: str | Path, run: str | None = None, namespace: str | None = None)
 @contextmanager
 def bag_errors() -> Iterator[None]:
     """Turn what is wrong with a recording or a disk into a line for the user."""
-    from derail_ros.review.storage import BagError
+    from derail_ros.recording.storage import BagError
 
     try:
         yield
@@ -73,7 +73,7 @@ def run(
         (output / "summary.txt").write_text(text, encoding="utf-8")
         written = ["summary.txt", "summary.json"]
         if replay:
-            from derail_ros.review import replay as page
+            from derail_ros.review import replay_page as page
 
             page.write(found, output / "replay.html", facts)
             written.append("replay.html")

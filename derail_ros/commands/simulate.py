@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.counts import count
 from derail_ros.studies.ensemble import (
     VARIATION,
     Result,
@@ -21,6 +20,7 @@ from derail_ros.studies.ensemble import (
     run_many,
 )
 from derail_ros.studies.records import Moments, Record, failed_record, flatten, outcome_record
+from derail_ros.vocabulary.counts import count
 
 if TYPE_CHECKING:
     from derail_ros.engine import Outcome, Simulation, TrainParams

@@ -8,7 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from derail_ros.engine.errors import (
+from derail_ros.engine.methods import METHODS
+from derail_ros.vocabulary.errors import (
     CommandError,
     ConstraintError,
     DerailError,
@@ -19,9 +20,8 @@ from derail_ros.engine.errors import (
     StepSizeError,
     TrackEndError,
 )
-from derail_ros.engine.events import Collision, Command, Event, EventKind
-from derail_ros.engine.methods import METHODS
-from derail_ros.engine.params import (
+from derail_ros.vocabulary.events import Collision, Command, Event, EventKind
+from derail_ros.vocabulary.params import (
     BrakeParams,
     BrakeTrigger,
     BrakeUnit,

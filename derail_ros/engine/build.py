@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State
-from derail_ros.engine.errors import ParameterError
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
-from derail_ros.engine.params import GRAVITY, Car, CouplerType, TrainParams
 from derail_ros.engine.track import Track
+from derail_ros.vocabulary.errors import ParameterError
+from derail_ros.vocabulary.params import GRAVITY, Car, CouplerType, TrainParams
 
 F64 = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine.errors import StateFormatError
+from derail_ros.vocabulary.errors import StateFormatError
 
 MAGIC = b"derail-state\0"
 VERSION = 1

@@ -27,7 +27,16 @@ from derail_ros.engine.dynamics import (
     project_positions,
     project_velocities,
 )
-from derail_ros.engine.errors import (
+from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.interpolation import interpolate, interpolate_energy
+from derail_ros.engine.neighbours import rebuild
+from derail_ros.engine.outcome import make_outcome
+from derail_ros.engine.sample import Outcome, Sample
+from derail_ros.engine.serial import from_plain, pack, to_plain, unpack
+from derail_ros.engine.solver import plain_masses
+from derail_ros.engine.track import Track
+from derail_ros.engine.warming import ensure_compiled
+from derail_ros.vocabulary.errors import (
     CommandError,
     ConstraintError,
     DerailError,
@@ -38,17 +47,8 @@ from derail_ros.engine.errors import (
     StepSizeError,
     TrackEndError,
 )
-from derail_ros.engine.events import Collision, Command, Event, EventKind
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
-from derail_ros.engine.interpolation import interpolate, interpolate_energy
-from derail_ros.engine.neighbours import rebuild
-from derail_ros.engine.outcome import make_outcome
-from derail_ros.engine.params import TrainParams
-from derail_ros.engine.sample import Outcome, Sample
-from derail_ros.engine.serial import from_plain, pack, to_plain, unpack
-from derail_ros.engine.solver import plain_masses
-from derail_ros.engine.track import Track
-from derail_ros.engine.warming import ensure_compiled
+from derail_ros.vocabulary.events import Collision, Command, Event, EventKind
+from derail_ros.vocabulary.params import TrainParams
 
 ENERGY_ENTRIES = (
     "kinetic",

@@ -22,7 +22,6 @@ from derail_ros.engine.dynamics import (
     onto_constraints,
     project_velocities,
 )
-from derail_ros.engine.events import EventKind
 from derail_ros.engine.features import cubic_root, first_change, first_kink
 from derail_ros.engine.forces import coupler_energy, kinetic_energy
 from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
@@ -36,6 +35,7 @@ from derail_ros.engine.neighbours import (
 from derail_ros.engine.runge_kutta import longest_stable, step_error, take_stages
 from derail_ros.engine.solver import constraint_error, truck_rows
 from derail_ros.engine.trigonometry import angles
+from derail_ros.vocabulary.events import EventKind
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.jit import jit
-from derail_ros.engine.params import TrackParams
+from derail_ros.vocabulary.params import TrackParams
 
 F64 = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from derail_ros.engine.jit import CACHE_DIR, CAN_KEEP, FOLDER_PREFIX, lock
-from derail_ros.engine.params import (
+from derail_ros.vocabulary.params import (
     BrakeUnit,
     Car,
     CouplerType,

@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from derail_ros.engine.errors import CommandError, DerailError, SimulationError
-from derail_ros.engine.events import EventKind
-from derail_ros.nodes.session import Prepared, Rates, Session, prepare
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RecordingError, RunRecorder, absolute, recorded_topics
+from derail_ros.recording.session import Prepared, Rates, Session, prepare
 from derail_ros.scenario import ScenarioError, load_scenario_by_name, loads_scenario
+from derail_ros.vocabulary.errors import CommandError, DerailError, SimulationError
+from derail_ros.vocabulary.events import EventKind
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
-from derail_ros.review.storage import BagError, Channel, open_bag
+from derail_ros.recording.storage import BagError, Channel, open_bag
 from msg_adapters.common import NANOSECONDS
 
 IDLE = 0.1

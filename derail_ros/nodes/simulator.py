@@ -19,7 +19,7 @@ from typing import Any
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore
 from derail_ros.nodes.process import Stop, run_node, service_qos, starting
-from derail_ros.nodes.session import Prepared, prepare
+from derail_ros.recording.session import Prepared, prepare
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.topics import (
     STATE_TOPICS,

@@ -55,7 +55,7 @@ def record_run(
     SimulationError
         If the run failed; the recording is whole up to there and says so.
     """
-    from derail_ros.nodes.session import Rates, Session, prepared_of
+    from derail_ros.recording.session import Rates, Session, prepared_of
 
     if simulation.step_count:
         raise ValueError("the simulation must be at its start")

@@ -15,7 +15,7 @@ from derail_ros.review.summary import final_scene, number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.review.bag import Happening, Run
+    from derail_ros.recording.reader import Happening, Run
 
 FORMAT = "derail_ros/comparison"
 VERSION = 1

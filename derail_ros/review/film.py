@@ -18,12 +18,12 @@ from matplotlib.patheffects import withStroke
 
 from derail_ros.review import figures, words
 from derail_ros.review.figures import INK, STATES, STYLE, VERMILION
-from derail_ros.review.replay import site
+from derail_ros.review.replay_page import site
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.review.bag import Contact, Run
+    from derail_ros.recording.reader import Contact, Run
 
 KINDS = (".mp4", ".gif")
 DPI = 100

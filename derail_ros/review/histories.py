@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.review.bag import ENERGY_ENTRIES, Run
-from derail_ros.review.storage import BagError, open_bag
+from derail_ros.recording.reader import ENERGY_ENTRIES, Run
+from derail_ros.recording.storage import BagError, open_bag
 from derail_ros.review.summary import by_severity
 from msg_adapters.definitions import deserialize
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from derail_ros.review.bag import Contact, Run
+    from derail_ros.recording.reader import Contact, Run
 
 SUBTLE = "#555555"
 GREEN = "#009e73"
@@ -530,7 +530,7 @@ def space_time(run: Run) -> Figure:
 
 
 def _space_time(run: Run) -> Figure:
-    from derail_ros.review.bag import along_track
+    from derail_ros.recording.reader import along_track
 
     active = _active(run)
     shown = list(range(min(run.n, (active[-1] if active else 0) + 6)))

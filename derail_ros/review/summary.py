@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import derail_ros
+from derail_ros.recording.reader import Contact, Happening, Run
 from derail_ros.review import words
-from derail_ros.review.bag import Contact, Happening, Run
 from derail_ros.review.scene import Scene
 
 FORMAT = "derail_ros/review"

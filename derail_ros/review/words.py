@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from derail_ros.counts import count
-from derail_ros.review.bag import Contact, Happening, Run
+from derail_ros.recording.reader import Contact, Happening, Run
+from derail_ros.vocabulary.counts import count
 
 ENERGY_TAKERS: dict[str, str] = {
     "work_brakes": "the brakes",

@@ -11,23 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from derail_ros.engine.methods import METHODS
-from derail_ros.engine.params import (
-    GRAVITY,
-    BrakeParams,
-    BrakeTrigger,
-    BrakeUnit,
-    Car,
-    ContactParams,
-    CouplerType,
-    DerailmentParams,
-    GroundParams,
-    InitiationParams,
-    IntegrationParams,
-    LateralForce,
-    TrackParams,
-    TrackSegment,
-    TrainParams,
-)
 from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.messages import did_you_mean, shown
 from derail_ros.scenario.rolling_stock import RollingStock, check_car_type
@@ -44,6 +27,23 @@ from derail_ros.scenario.schema import (
     to_engine,
 )
 from derail_ros.scenario.strict_yaml import Path
+from derail_ros.vocabulary.params import (
+    GRAVITY,
+    BrakeParams,
+    BrakeTrigger,
+    BrakeUnit,
+    Car,
+    ContactParams,
+    CouplerType,
+    DerailmentParams,
+    GroundParams,
+    InitiationParams,
+    IntegrationParams,
+    LateralForce,
+    TrackParams,
+    TrackSegment,
+    TrainParams,
+)
 
 KMH = 1.0 / 3.6
 """1 km/h in m/s."""

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from derail_ros.engine.params import TrainParams
 from derail_ros.scenario import files
 from derail_ros.scenario.errors import Refusal, ScenarioError
 from derail_ros.scenario.messages import did_you_mean, first_mistake, shown
@@ -44,6 +43,7 @@ from derail_ros.scenario.strict_yaml import (
     parse,
     parse_value,
 )
+from derail_ros.vocabulary.params import TrainParams
 
 Dirs = Iterable["str | os.PathLike[str]"] | None
 

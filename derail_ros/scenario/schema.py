@@ -24,7 +24,7 @@ from pydantic import (
     WithJsonSchema,
 )
 
-from derail_ros.engine.params import (
+from derail_ros.vocabulary.params import (
     BrakeParams,
     BrakeTrigger,
     BrakeUnit,

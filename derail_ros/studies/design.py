@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.counts import count
 from derail_ros.scenario import Scenario, ScenarioError
 from derail_ros.studies.orders import reorder
 from derail_ros.studies.plan import (
@@ -28,6 +27,7 @@ from derail_ros.studies.plan import (
     fill,
     label_of,
 )
+from derail_ros.vocabulary.counts import count
 
 Place = tuple[str | int, ...]
 

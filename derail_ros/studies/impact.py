@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from derail_ros.engine.laws.contact import gap_force, speed_factor
-from derail_ros.engine.params import ContactParams
+from derail_ros.vocabulary.params import ContactParams
 
 STRIKING, STANDING = 158e3, 327e3
 """Masses of the tests, kg."""

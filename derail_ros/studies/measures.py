@@ -55,7 +55,7 @@ MEASURES: Mapping[str, Measure] = {
     "severity": Measure("relative severity", digits=2),
 }
 """All measures. Severity is not in the table: it compares with the mean of
-the base point, not with the source's base train as :mod:`derail_ros.review.severity` does."""
+the base point, not with the source's base train as :mod:`derail_ros.vocabulary.severity` does."""
 
 DEFAULT_MEASURES = ("cars_derailed", "duration_s", "peak_force_MN", "scene_area_m2")
 

@@ -19,12 +19,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from derail_ros.counts import count
 from derail_ros.review.figures import BLUE, FAINT, INK, STYLE, VERMILION
 from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.measures import MEASURES, shown
 from derail_ros.studies.plan import FigureSpec, shown_value
+from derail_ros.vocabulary.counts import count
 
 if TYPE_CHECKING:
     import pandas

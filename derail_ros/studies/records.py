@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from derail_ros.review.severity import severity
+from derail_ros.vocabulary.severity import severity
 
 if TYPE_CHECKING:
     from derail_ros.engine.sample import Outcome

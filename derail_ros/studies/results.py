@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derail_ros.review.severity import severity_index
 from derail_ros.scenario import loads_scenario
 from derail_ros.scenario.strict_yaml import Document, dump
 from derail_ros.studies import statistics
 from derail_ros.studies.design import Design, Sobol, base_index, make
 from derail_ros.studies.plan import Study, StudyModel, label_of
 from derail_ros.studies.runner import read_manifest, read_table
+from derail_ros.vocabulary.severity import severity_index
 
 if TYPE_CHECKING:
     import pandas

@@ -18,12 +18,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from derail_ros.counts import count
 from derail_ros.studies.design import Design, Point, check, make, scenario_at
 from derail_ros.studies.ensemble import Result, Run, compute, member_factor, run_many
 from derail_ros.studies.journal import Journal, JournalError, Results
 from derail_ros.studies.measures import FIELDS, MEASURES, TEXTS, Row, failed_row, row
 from derail_ros.studies.plan import Study
+from derail_ros.vocabulary.counts import count
 
 if TYPE_CHECKING:
     import pandas

@@ -27,15 +27,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derail_ros.engine.params import (
-    BrakeParams,
-    Car,
-    ContactParams,
-    CouplerType,
-    DerailmentParams,
-    GroundParams,
-    IntegrationParams,
-)
 from derail_ros.scenario.resolve import CYLINDER_RADIUS
 from derail_ros.studies.ensemble import (
     VARIATION,
@@ -55,9 +46,18 @@ from derail_ros.studies.validation import (
     goals,
     load_published,
 )
+from derail_ros.vocabulary.params import (
+    BrakeParams,
+    Car,
+    ContactParams,
+    CouplerType,
+    DerailmentParams,
+    GroundParams,
+    IntegrationParams,
+)
 
 if TYPE_CHECKING:
-    from derail_ros.engine.params import TrainParams
+    from derail_ros.vocabulary.params import TrainParams
 
 Edit = Callable[["TrainParams"], "TrainParams"]
 

@@ -28,7 +28,7 @@ from derail_ros.studies.records import counted, failed_record, outcome_record
 from derail_ros.studies.validation import Published
 
 if TYPE_CHECKING:
-    from derail_ros.engine.params import TrainParams
+    from derail_ros.vocabulary.params import TrainParams
 
 DEFAULT = ("mississauga", "base_train")
 

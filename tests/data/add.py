@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from derail_ros.engine import Event, Simulation, SimulationError, TrainParams
-from derail_ros.engine.events import Command
 from derail_ros.engine.serial import from_plain, unpack
+from derail_ros.vocabulary.events import Command
 
 FOLDER = Path(__file__).parent
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from derail_ros.engine import Simulation
-from derail_ros.nodes.session import Prepared, prepare
+from derail_ros.recording.session import Prepared, prepare
 from derail_ros.scenario import Scenario, loads_scenario
 
 SMALL = """\

@@ -17,7 +17,7 @@ pytest.importorskip("derail_msgs")
 from derail_ros.cli import main
 from derail_ros.nodes.process import sweep_shared_memory
 from derail_ros.recording import read_manifest
-from derail_ros.review.storage import open_bag
+from derail_ros.recording.storage import open_bag
 from msg_adapters.common import stamp_of
 from msg_adapters.topics import STATE_TOPICS
 from tests.nodes.graph import DEEP, PAUSED, PLAYING, Graph, Process, graph

@@ -11,7 +11,7 @@ import pytest
 
 from derail_ros.nodes.playback import Playback
 from derail_ros.recording import record_run
-from derail_ros.review.storage import BagError
+from derail_ros.recording.storage import BagError
 from tests.nodes.support import simulation, small
 
 SECOND = 1_000_000_000

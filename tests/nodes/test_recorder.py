@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Reader
 from derail_ros.nodes.recorder import chosen_topics
 from derail_ros.recording import read_manifest
 from derail_ros.recording.listener import Listener
-from derail_ros.review.storage import BagError, open_bag
+from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.definitions import deserialize
 from msg_adapters.topics import STATE_TOPICS, TOPICS
 from tests.nodes.graph import DEEP, graph

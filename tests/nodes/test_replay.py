@@ -13,9 +13,9 @@ from derail_ros.cli import main
 from derail_ros.engine import Simulation
 from derail_ros.nodes.core import Settings, SimulatorCore
 from derail_ros.recording import read_manifest, record_run
-from derail_ros.recording.replay import needed, told_by
-from derail_ros.review.repair import repair
-from derail_ros.review.storage import BagError, open_bag
+from derail_ros.recording.recomputation import needed, told_by
+from derail_ros.recording.repair import repair
+from derail_ros.recording.storage import BagError, open_bag
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL, ready, small
 from tests.nodes.test_core import Heard
 

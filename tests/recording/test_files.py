@@ -19,8 +19,8 @@ from rosbags.typesys import get_types_from_msg
 from derail_ros.recording import record_run
 from derail_ros.recording.files import full_text
 from derail_ros.recording.recorder import recorded_topics
-from derail_ros.review.repair import repair
-from derail_ros.review.storage import open_bag
+from derail_ros.recording.repair import repair
+from derail_ros.recording.storage import open_bag
 from msg_adapters.definitions import read_copy, typestore
 from msg_adapters.topics import TOPICS, Topic
 from tests.nodes.support import simulation, small

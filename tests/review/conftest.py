@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from derail_ros.recording import record_run
-from derail_ros.review.bag import Run, read_bag
+from derail_ros.recording.reader import Run, read_bag
 from tests.conftest import BROWSER, UNCHECKED
 from tests.nodes.support import simulation, small
 

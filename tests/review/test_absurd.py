@@ -15,11 +15,12 @@ from rosbags.rosbag2 import Reader
 from derail_ros.engine import Simulation
 from derail_ros.recording import record_run
 from derail_ros.recording.files import add_topic, bag_writer
-from derail_ros.review import plots, replay, summary
-from derail_ros.review.bag import read_bag
+from derail_ros.recording.reader import read_bag
+from derail_ros.recording.soundness import RULES
+from derail_ros.recording.storage import BagError
+from derail_ros.review import plots, summary
+from derail_ros.review import replay_page as replay
 from derail_ros.review.figures import final_scene
-from derail_ros.review.sound import RULES
-from derail_ros.review.storage import BagError
 from derail_ros.scenario import load_scenario
 from msg_adapters.definitions import deserialize, field_names, read_copy, serialize
 

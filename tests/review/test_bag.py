@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from derail_ros.review import bag as module
-from derail_ros.review.bag import (
+from derail_ros.recording import reader as module
+from derail_ros.recording.reader import (
     BagError,
     BagVersionError,
     NotABagError,
@@ -24,8 +24,8 @@ from derail_ros.review.bag import (
     read_bag,
     result_of,
 )
-from derail_ros.review.repair import repair
-from derail_ros.review.storage import open_bag
+from derail_ros.recording.repair import repair
+from derail_ros.recording.storage import open_bag
 from msg_adapters.definitions import deserialize, read_copy, typestore
 from tests.nodes.support import simulation
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from derail_ros.recording.reader import Run
 from derail_ros.review import comparison, figures, film
-from derail_ros.review.bag import Run
-from derail_ros.review.replay import write
+from derail_ros.review.replay_page import write
 from derail_ros.review.summary import final_scene
 
 TURNS = (0.0, 1.9, -2.6)

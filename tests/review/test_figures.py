@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.patches import Patch
 
-from derail_ros.engine.params import Car, CouplerType
 from derail_ros.review import figures
 from derail_ros.review.scene import Scene, make_scene
+from derail_ros.vocabulary.params import Car, CouplerType
 
 F79 = CouplerType("F79", "F", 1.092, 0.788, 0.170, 3.15e6)
 

@@ -18,8 +18,8 @@ from rosbags.rosbag2 import Reader
 
 from derail_ros import cli
 from derail_ros.recording import record_run
+from derail_ros.recording.reader import ENERGY_ENTRIES, Run, read_bag, result_of
 from derail_ros.review import comparison, figures, film, histories, plots, summary, words
-from derail_ros.review.bag import ENERGY_ENTRIES, Run, read_bag, result_of
 from msg_adapters.definitions import deserialize
 from tests.nodes.support import SMALL, simulation, small
 

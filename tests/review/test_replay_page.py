@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from derail_ros.review import replay, summary
-from derail_ros.review.bag import Run
+from derail_ros.recording.reader import Run
+from derail_ros.review import replay_page as replay
+from derail_ros.review import summary
 from tests.review.conftest import find_browser, start_browser
 
 

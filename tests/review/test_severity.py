@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from derail_ros.review.severity import severity, severity_index
+from derail_ros.vocabulary.severity import severity, severity_index
 
 
 def run(n, f, a):

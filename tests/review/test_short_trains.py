@@ -5,8 +5,8 @@ import re
 import pytest
 
 from derail_ros.recording import record_run
+from derail_ros.recording.reader import read_bag
 from derail_ros.review import figures, plots, summary
-from derail_ros.review.bag import read_bag
 from tests.nodes.support import simulation, small
 
 SCENARIO = """

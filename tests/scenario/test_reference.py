@@ -9,11 +9,11 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from derail_ros.engine import params as engine
 from derail_ros.scenario import json_schema, list_scenarios, load_scenario, loads_scenario
 from derail_ros.scenario.reference import fill
 from derail_ros.scenario.schema import ScenarioModel, Section
 from derail_ros.scenario.strict_yaml import parse
+from derail_ros.vocabulary import params as engine
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scenarios.md"

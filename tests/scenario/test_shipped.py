@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from derail_ros.engine import build
-from derail_ros.engine.params import TrainParams
 from derail_ros.scenario import (
     list_scenarios,
     load_rolling_stock,
@@ -16,6 +15,7 @@ from derail_ros.scenario import (
     load_scenario_by_name,
     loads_scenario,
 )
+from derail_ros.vocabulary.params import TrainParams
 
 DATA = Path(__file__).parent / "data"
 NAMES = [

@@ -63,7 +63,7 @@ def test_negative_seed_is_refused():
 
 
 def test_vary_scales_all_lateral_forces_and_nothing_else():
-    from derail_ros.engine.params import InitiationParams, LateralForce, TrainParams
+    from derail_ros.vocabulary.params import InitiationParams, LateralForce, TrainParams
 
     params = TrainParams(
         cars=(),

@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.counts import count
-from derail_ros.review.scene import Scene
-from derail_ros.review.sound import ENERGY_ENTRIES, believable
-from derail_ros.review.storage import (
+from derail_ros.recording.soundness import ENERGY_ENTRIES, believable
+from derail_ros.recording.storage import (
     BagError,
     BagVersionError,
     NotABagError,
@@ -30,6 +28,8 @@ from derail_ros.review.storage import (
     open_bag,
     topics_of,
 )
+from derail_ros.review.scene import Scene
+from derail_ros.vocabulary.counts import count
 from msg_adapters.definitions import deserialize, read_copy
 
 __all__ = [

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 import derail_ros
 from derail_ros.engine import Simulation
-from derail_ros.engine.errors import CommandError, SimulationError
-from derail_ros.engine.events import Event, EventKind
 from derail_ros.engine.sample import Sample
 from derail_ros.recording.manifest import RunEntry
+from derail_ros.vocabulary.errors import CommandError, SimulationError
+from derail_ros.vocabulary.events import Event, EventKind
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize

@@ -15,14 +15,14 @@ from typing import Any
 
 import yaml
 
-from derail_ros.counts import count
 from derail_ros.engine import Command, Simulation
-from derail_ros.engine.errors import CommandError, SimulationError
-from derail_ros.engine.events import EventKind
 from derail_ros.nodes.core import BRAKE_MODES, BRAKE_SOURCES
 from derail_ros.recording.gathered import CONSIST, gathered
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.scenario import loads_scenario
+from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.errors import CommandError, SimulationError
+from derail_ros.vocabulary.events import EventKind
 from msg_adapters.definitions import deserialize
 from msg_adapters.reports import collision_from_message, event_from_message
 from msg_adapters.topics import MANIFEST
@@ -86,7 +86,7 @@ class Replayed:
 def told_by(messages: Iterable[tuple[Any, int, bytes]]) -> dict[str, Told]:
     """What a recording says of its runs, by their identities.
 
-    Takes channel (``derail_ros.review.storage.Channel``), time and bytes of each message.
+    Takes channel (``derail_ros.recording.storage.Channel``), time and bytes of each message.
     """
     runs: dict[str, Told] = {}
     for channel, _, data in messages:

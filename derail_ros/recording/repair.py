@@ -12,7 +12,7 @@ from typing import Any
 from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.gathered import TELLING, gathered
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
-from derail_ros.review.storage import BagError, Channel, RawBag, open_bag
+from derail_ros.recording.storage import BagError, Channel, RawBag, open_bag
 from msg_adapters.definitions import deserialize, typestore
 from msg_adapters.reports import jsonable
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos

@@ -1,6 +1,6 @@
 """The replay page: a run as one HTML file that needs no network.
 
-The page is put together from ``replay.html``, ``replay.css`` and ``replay.js``. Its content
+The page is put together from ``replay_page.html``, ``replay_page.css`` and ``replay_page.js``. Its content
 policy allows just this script and this style, by their hashes, and nothing from anywhere else.
 Strings of the recording reach it escaped, and the script sets them as text only.
 """
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from derail_ros.review import summary, words
 
 if TYPE_CHECKING:
-    from derail_ros.review.bag import Run
+    from derail_ros.recording.reader import Run
 
 STATES = 2500
 """No more states than this are put into the page; of longer runs every second, third ..."""
@@ -51,7 +51,7 @@ ENERGY_PARTS = (
 
 def page(run: Run, facts: dict[str, Any] | None = None) -> str:
     """The replay page of a run as HTML."""
-    template, style, script = (_text(f"replay.{kind}") for kind in ("html", "css", "js"))
+    template, style, script = (_text(f"replay_page.{kind}") for kind in ("html", "css", "js"))
     facts = summary.findings(run) if facts is None else facts
     policy = "; ".join(
         (
