@@ -1,7 +1,7 @@
 """The replay page: a run as one HTML file that needs no network.
 
-The page is put together from ``replay_page.html``, ``replay_page.css`` and ``replay_page.js``. Its content
-policy allows just this script and this style, by their hashes, and nothing from anywhere else.
+The page is put together from ``replay_page.html``, ``.css`` and ``.js``. Its content policy
+allows just this script and this style, by their hashes, and nothing from anywhere else.
 Strings of the recording reach it escaped, and the script sets them as text only.
 """
 

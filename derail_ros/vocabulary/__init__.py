@@ -1,1 +1,4 @@
-"""What everything here speaks of: parameters in, results out, and what a run is; imports nothing else."""
+"""The words that every room shares: parameters in, results out, and what a run is.
+
+Nothing here imports another room.
+"""
