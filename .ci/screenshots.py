@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(ROOT))
 
-from derail_ros.engine import Simulation  # noqa: E402
+from derail_ros.engine import PlanarSimulation  # noqa: E402
 from derail_ros.recording import record_run  # noqa: E402
 from derail_ros.recording.reader import read_bag  # noqa: E402
 from derail_ros.review import figures, replay  # noqa: E402
@@ -49,7 +49,7 @@ def main() -> None:
     """Write the pictures."""
     with tempfile.TemporaryDirectory() as folder:
         scenario = load_scenario("mississauga")
-        record_run(Simulation(scenario.to_params()), scenario, Path(folder) / "mississauga")
+        record_run(PlanarSimulation(scenario.to_params()), scenario, Path(folder) / "mississauga")
         run = read_bag(Path(folder) / "mississauga")
         scene = figures.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
         keep(Image.open(scene).convert("RGB"), "final_scene")

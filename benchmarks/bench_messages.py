@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.recording import RunRecorder
 from derail_ros.scenario import loads_scenario
 from msg_adapters.common import RunContext
@@ -55,7 +55,7 @@ def row(what: str, microseconds: float, size: int | None = None) -> None:
 
 def main() -> None:
     """Measure and print."""
-    simulation = Simulation(loads_scenario(SCENARIO).to_params())
+    simulation = PlanarSimulation(loads_scenario(SCENARIO).to_params())
     simulation.advance_to(5.0)
     sample = simulation.sample()
     context = RunContext("0" * 32)

@@ -16,7 +16,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the graph of the tests
 
-from derail_ros.engine import Simulation, warm_up
+from derail_ros.engine import PlanarSimulation, warm_up
 from derail_ros.recording import read_manifest
 from derail_ros.scenario import loads_scenario
 
@@ -51,7 +51,7 @@ def physics(pace: float) -> float:
     With pace 1 it sleeps between ticks, as in the node, and finds its caches cold when it wakes
     up; with pace 0 it computes in one go.
     """
-    simulation = Simulation(loads_scenario(SCENARIO).to_params())
+    simulation = PlanarSimulation(loads_scenario(SCENARIO).to_params())
     simulation.advance_to(WINDOW[0])
     used, began = time.process_time(), time.monotonic()
     for tick in range(int(50 * WINDOW[0]), int(50 * WINDOW[1])):

@@ -52,11 +52,11 @@ def fixed_kernel() -> float:
 
 def timed(params: Any, repeats: int, until: float = float("inf")) -> tuple[float, Any]:
     """Least processor time of a run, s, and the run."""
-    from derail_ros.engine import Simulation
+    from derail_ros.engine import PlanarSimulation
 
     best, run = 1e9, None
     for _ in range(repeats):
-        run = Simulation(params)
+        run = PlanarSimulation(params)
         began = time.process_time()
         run.advance_to(until)
         best = min(best, time.process_time() - began)
@@ -123,12 +123,9 @@ def pile_ups() -> tuple[list[dict[str, Any]], float]:
 
     Groups of 25 free cars, thrown together head on in pairs, 200 m apart.
     """
-    from derail_ros.engine import (
-        BrakeParams,
-        InitiationParams,
-        Simulation,
-    )
+    from derail_ros.engine import PlanarSimulation
     from derail_ros.scenario import load_scenario_by_name
+    from derail_ros.vocabulary.params import BrakeParams, InitiationParams
 
     base = load_scenario_by_name("base_train").to_params()
     car = replace(base.cars[0], brakes=())
@@ -147,7 +144,7 @@ def pile_ups() -> tuple[list[dict[str, Any]], float]:
         )
         best, contacts = 1e9, 0
         for _ in range(3):
-            run = Simulation(params)
+            run = PlanarSimulation(params)
             state = run._state
             for i in range(cars):
                 group, k = divmod(i, 25)
@@ -197,7 +194,7 @@ def start_up() -> list[dict[str, Any]]:
     first_step = (
         "from derail_ros.engine import Simulation\n"
         "from derail_ros.scenario import load_scenario_by_name\n"
-        "Simulation(load_scenario_by_name('mississauga').to_params()).advance_steps(1)"
+        "PlanarSimulation(load_scenario_by_name('mississauga').to_params()).advance_steps(1)"
     )
     rows = []
     with tempfile.TemporaryDirectory() as cache:

@@ -146,14 +146,14 @@ def engine_with(counters: Counters) -> None:
 
 def best_run(name: str, counters: Counters | None = None) -> tuple[float, Any, Any]:
     """Least processor time of a run to rest, s, the run, and what the counters had after it."""
-    from derail_ros.engine import Simulation
+    from derail_ros.engine import PlanarSimulation
     from derail_ros.scenario import load_scenario_by_name
 
     params = load_scenario_by_name(name).to_params()
-    Simulation(params).run()
+    PlanarSimulation(params).run()
     best, run, found = 1e9, None, None
     for _ in range(RUNS):
-        run = Simulation(params)
+        run = PlanarSimulation(params)
         if counters is not None:
             counters.cells[:] = 0
         began = time.process_time()

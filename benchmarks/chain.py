@@ -79,7 +79,9 @@ def derail_ros(method: str, rtol: float, bars: int = 100, end: float = END) -> d
 
 def chain_run(method: str, rtol: float, bars: int, end: float) -> Any:
     """The chain as a train off the rails on ground without friction."""
-    from derail_ros.engine import (
+    from derail_ros.engine import PlanarSimulation
+    from derail_ros.engine import layout as L
+    from derail_ros.vocabulary.params import (
         BrakeParams,
         Car,
         ContactParams,
@@ -89,10 +91,8 @@ def chain_run(method: str, rtol: float, bars: int, end: float) -> Any:
         InitiationParams,
         IntegrationParams,
         LateralForce,
-        Simulation,
         TrainParams,
     )
-    from derail_ros.engine import layout as L
 
     # couplers without length: the pins are at the ends; nothing turns their bodies
     tiny = 1e-9
@@ -123,7 +123,7 @@ def chain_run(method: str, rtol: float, bars: int, end: float) -> Any:
             locate_crossings=False,
         ),
     )
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     # The scenarios' forces are lateral and their trains start along the line.
     q, v = start(bars)
     run._model.lateral[0, L.LF_X : L.LF_Y + 1] = -FORCE, 0.0

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome
     from derail_ros.scenario import Scenario
     from derail_ros.studies.plan import Study
     from derail_ros.studies.results import StudyResults
+    from derail_ros.vocabulary.outcome import Outcome
 
 
 def simulate(

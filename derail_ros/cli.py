@@ -84,32 +84,44 @@ def simulate(
         ),
     ] = None,
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--model",
             "-m",
-            help="toma (this project's), yang-manos, anderson, roorda-gracie, blockage, bar-1, "
-            "bar-2 or bar-3 (also bar-2-corrected, bar-3-corrected); docs/baselines.md.",
+            help="planar (the default), or an earlier model: yang-manos, anderson, "
+            "roorda-gracie, blockage, bar-1, bar-2 or bar-3 (also bar-2-corrected, "
+            "bar-3-corrected); docs/baselines.md.",
         ),
-    ] = "toma",
+    ] = None,
     roll: Annotated[
         bool,
-        typer.Option("--roll", help="Estimate how far free cars roll (toma and anderson)."),
+        typer.Option("--roll", help="Estimate how far free cars roll (planar and anderson)."),
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show the quality of the computation too.")
     ] = False,
 ) -> int:
     """Run a scenario to rest, without a ROS graph, and report what came of it.
 
-    Other models than toma write no recording.
+    The earlier models write no recording.
     """
-    if model != "toma" or roll:
+    from derail_ros.models import names
+    from derail_ros.vocabulary.params import PLANAR
+
+    if model == "toma":  # its name before 0.2
+        model = PLANAR
+    if roll or (model is not None and model not in names()):
         from derail_ros.commands import models as other
 
+        name = "toma" if model in (None, PLANAR) else model
         return other.run(
-            model, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
+            name, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
         )
     from derail_ros.commands import simulate as command
 
-    return command.run(scenario, settings or [], ensemble, seed, jobs, as_json, output)
+    chosen = [] if model is None else [f"model={model}"]
+    given = [*chosen, *(settings or [])]
+    return command.run(scenario, given, ensemble, seed, jobs, as_json, output, verbose)
 
 
 @app.command()

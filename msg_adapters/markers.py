@@ -31,7 +31,7 @@ from msg_adapters.state import quaternions
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.engine.sample import Sample
+    from derail_ros.vocabulary.sample import Sample
 
 ARROW, CUBE, LINE_STRIP, LINE_LIST, TEXT, TRIANGLE_LIST = 0, 1, 4, 5, 9, 11
 ADD, DELETE, DELETE_ALL = 0, 2, 3
@@ -281,11 +281,11 @@ class MarkerEncoder:
         if self._layout != (labels, coupled, reset):
             self._lay_out(labels, coupled, reset)
         d = self._doubles
-        x, y, yaw = sample.q[:, 0], sample.q[:, 1], sample.q[:, 2]
+        x, y, z = sample.pose[:, :3].T
         at = self._cars
         d[at], d[at + 1] = x, y
-        d[at + 2] = CAR_FLOOR + 0.5 * CAR_HEIGHT
-        d[at + 5], d[at + 6] = quaternions(yaw)
+        d[at + 2] = z + CAR_FLOOR + 0.5 * CAR_HEIGHT
+        d[at[:, None] + np.arange(3, 7)] = quaternions(sample.pose)
         colors = np.where(
             (peak > HARD)[:, None],
             np.array(STRUCK_HARD),

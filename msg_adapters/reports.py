@@ -13,27 +13,17 @@ import numpy as np
 from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.params import DerailmentParams, TrainParams
 from derail_ros.vocabulary.severity import severity
+from derail_ros.vocabulary.status import STATUSES
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
 from msg_adapters.definitions import message_class
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.engine.sample import Outcome
-
-STATUS = {
-    "running": 0,
-    "at rest": 1,
-    "time limit": 2,
-    "void": 3,
-    "failed": 4,
-    "stopped": 5,
-}
-"""Status in words -> number in ``derail_msgs/Outcome``."""
+    from derail_ros.vocabulary.outcome import Outcome
 
 END = {"": 0, "front": 1, "rear": 2}
 WALL_UNKNOWN = 255
-CORNER_NAMES = ("front left", "front right", "rear left", "rear right")
 
 TRACK_SPACING = 10.0
 """Distance between the points that describe the centre line, m."""
@@ -157,51 +147,6 @@ def track(
 # --- events ----------------------------------------------------------------------------------
 
 
-def value_unit(event: Event) -> str:
-    """Unit of the number behind an event's cause."""
-    if not math.isfinite(event.value):
-        return ""
-    lateral = event.cause == "lateral force"
-    if event.kind == EventKind.TRUCK_DERAILED:
-        return "1" if lateral else "m"
-    if event.kind == EventKind.RAIL_BREAK_SET:
-        return "1" if lateral else ""
-    if event.kind == EventKind.BRAKES_TRIGGERED:
-        return "m" if event.cause == "vented" else ""
-    return {
-        EventKind.COUPLER_PARTED: "rad",
-        EventKind.BRAKE_SIGNAL_REACHED: "m",
-        EventKind.RUN_ENDED: "s",
-        EventKind.RUN_VOID: "m",
-    }.get(event.kind, "")
-
-
-def describe(event: Event) -> str:
-    """One line for people."""
-    car = f"car {event.cars[0]}" if event.cars else "the train"
-    pair = " and ".join(str(c) for c in event.cars[:2])
-    # Adding zero takes the sign from a zero: a truck derails a hair before its break as well.
-    place = round(event.track_coordinate, 1) + 0.0
-    where = f" at {place:.1f} m" if math.isfinite(place) else ""
-    speed = f", {event.speed:.1f} m/s" if math.isfinite(event.speed) else ""
-    why = f" ({event.cause})" if event.cause else ""
-    kind = event.kind
-    if kind == EventKind.TRUCK_DERAILED:
-        return f"{event.end} truck of {car} derailed{where}{speed}{why}"
-    if kind == EventKind.COUPLER_PARTED:
-        return f"coupling between cars {pair} parted{why}"
-    if kind == EventKind.RAIL_BREAK_SET:
-        return f"rail break{where}{why}"
-    if kind == EventKind.BRAKES_TRIGGERED:
-        return f"emergency brakes applied{why}"
-    if kind == EventKind.BRAKE_SIGNAL_REACHED:
-        return f"brake signal reached {car}"
-    if kind == EventKind.CAR_AT_REST:
-        return f"{car} came to rest"
-    words = kind.name.lower().replace("_", " ")
-    return f"{words}: {event.cause}" if event.cause else words
-
-
 def kind_number(kind: EventKind) -> int:
     """Number of a kind of event in ``derail_msgs/TrainEvent``."""
     return int(getattr(message_class("derail_msgs/msg/TrainEvent"), f"KIND_{kind.name}"))
@@ -228,10 +173,10 @@ def train_event(event: Event, sequence: int, context: RunContext) -> Any:
         track_coordinate=float(event.track_coordinate),
         speed=float(event.speed),
         value=float(event.value),
-        value_unit=value_unit(event),
+        value_unit=event.value_unit,
         before=event.before,
         after=event.after,
-        text=describe(event),
+        text=event.text,
     )
 
 
@@ -276,7 +221,7 @@ def collision(contact: Collision, step: int, context: RunContext) -> Any:
         struck_wall=WALL_UNKNOWN,
         start_time=float(contact.start),
         end_time=float(contact.end),
-        peak_corner_force=float(contact.peak_corner_force),
+        peak_corner_force=float(contact.peak_force),
         peak_corner_force_time=float(contact.peak_time),
         peak_resultant_force=float(contact.peak_resultant),
         peak_resultant_force_time=float(contact.peak_resultant_time),
@@ -301,7 +246,7 @@ def collision_from_message(message: Any) -> Collision:
         corner=int(message.corner),
         start=float(message.start_time),
         end=float(message.end_time),
-        peak_corner_force=float(message.peak_corner_force),
+        peak_force=float(message.peak_corner_force),
         peak_time=float(message.peak_corner_force_time),
         peak_resultant=float(message.peak_resultant_force),
         peak_resultant_time=float(message.peak_resultant_force_time),
@@ -372,24 +317,23 @@ def outcome(
     time: float,
     step: int,
     status: str = "",
-    coordinates: NDArray[np.float64] | None = None,
 ) -> Any:
     """``derail_msgs/Outcome`` at the run time ``time``.
 
-    ``status`` overrides the engine's ("failed", "stopped"). ``coordinates`` are the track
-    coordinates of the trucks (N, 2); with them the first car of the rear part is named.
+    ``status`` overrides the engine's ("failed", "stopped").
     """
     status = status or result.status
     final = result.final or status in ("failed", "stopped")
     pair = result.peak_force_pair or (0, 0)
-    pose = np.ascontiguousarray(result.final_pose.T)
+    pose = np.ascontiguousarray(result.pose[:, [0, 1, 5]].T)
     residual = float(result.energy_residual)
+    initial = float(result.energy.get("initial", math.nan))
     return message_class("derail_msgs/msg/Outcome")(
         header=context.header(time),
         run_id=context.run_id,
         step=int(step),
         time=float(time),
-        status=STATUS[status],
+        status=STATUSES[status].number,
         status_name=status,
         is_final=bool(final),
         is_void=bool(result.void),
@@ -415,25 +359,15 @@ def outcome(
         x=pose[0],
         y=pose[1],
         yaw=pose[2],
-        rear_part_first_car=_rear_part(result, coordinates),
-        rear_part_track_coordinate=float(result.rear_stop),
+        rear_part_first_car=result.rear_part_first_car,
+        rear_part_track_coordinate=result.rear_part_coordinate,
         max_coupler_gap=float(result.max_coupler_gap),
         max_truck_offset=float(result.max_truck_offset),
-        energy_initial=float(result.energy_initial),
-        energy_residual=residual * float(result.energy_initial),
+        energy_initial=initial,
+        energy_residual=residual * initial,
         energy_residual_relative=residual,
         severity=severity(result),
     )
-
-
-def _rear_part(result: Outcome, coordinates: NDArray[np.float64] | None) -> int:
-    """First car on the rails behind the derailed ones, 0 if there is none."""
-    if not math.isfinite(result.rear_stop) or not result.derailed_cars:
-        return 0
-    first = max(result.derailed_cars) + 1
-    if coordinates is not None and len(coordinates):
-        first = int(np.argmin(np.abs(coordinates[:, 0] - result.rear_stop))) + 1
-    return first
 
 
 # --- time, diagnostics, manifest -------------------------------------------------------------

@@ -24,7 +24,7 @@ from msg_adapters.definitions import fields_of, message_class, serialize
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.engine.sample import Sample
+    from derail_ros.vocabulary.sample import Sample
 
 PAD = 4
 START = PAD + 4
@@ -33,10 +33,19 @@ POSE_DOUBLES = 7
 """x, y, z and the quaternion x, y, z, w."""
 
 
-def quaternions(yaw: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The two components (z, w) that a rotation about the vertical axis needs."""
-    half = 0.5 * yaw
-    return np.sin(half), np.cos(half)
+def quaternions(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 4) quaternions x, y, z, w of poses (N, 6) that end with roll, pitch, yaw (rad)."""
+    half = 0.5 * pose[:, 3:6]
+    (sr, sp, sy), (cr, cp, cy) = np.sin(half).T, np.cos(half).T
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=-1,
+    )
 
 
 class PoseEncoder:
@@ -62,8 +71,8 @@ class PoseEncoder:
     def __call__(self, sample: Sample) -> bytes:
         """CDR bytes of ``geometry_msgs/PoseArray``: the mass centres, in order of the cars."""
         self._stamp[:] = divmod(self.context.stamp(sample.time), NANOSECONDS)
-        self._poses[:, 0:2] = sample.q[:, 0:2]
-        self._poses[:, 5], self._poses[:, 6] = quaternions(sample.q[:, 2])
+        self._poses[:, 0:3] = sample.pose[:, 0:3]
+        self._poses[:, 3:7] = quaternions(sample.pose)
         return bytes(self._data)
 
 
@@ -100,8 +109,8 @@ class TransformEncoder:
         seconds, rest = divmod(self.context.stamp(sample.time), NANOSECONDS)
         self._words[self._seconds], self._words[self._seconds + 1] = seconds, rest
         at, d = self._places, self._doubles
-        d[at], d[at + 1], d[at + 2] = sample.q[:, 0], sample.q[:, 1], 0.0
-        d[at + 5], d[at + 6] = quaternions(sample.q[:, 2])
+        d[at[:, None] + np.arange(3)] = sample.pose[:, 0:3]
+        d[at[:, None] + np.arange(3, 7)] = quaternions(sample.pose)
         return bytes(self._data[: self._size])
 
 
@@ -156,35 +165,6 @@ class StateEncoder:
         self.context = context
         self.poses = PoseEncoder(len(params.cars), context)
         self._encoders: dict[str, FlatEncoder] = {}
-        arm = {"front": 1.0, "rear": -1.0, "centre": 0.0}
-        self._lateral = [
-            (
-                force.car - 1,
-                arm[force.place] * params.cars[force.car - 1].truck_distance,
-                abs(force.force),
-                force.start,
-                force.start + force.duration,
-            )
-            for force in params.initiation.lateral_forces
-        ]
-
-    def _external_moment(self, sample: Sample) -> NDArray[np.float64]:
-        """Moment of the initiating forces about the mass centres, N m.
-
-        Forces on one car have practically one direction (the track's normal at its trucks), so
-        the car's resultant acts at their weighted place.
-        """
-        weight = np.zeros(len(sample.q))
-        moment = np.zeros(len(sample.q))
-        for car, offset, size, start, end in self._lateral:
-            if start <= sample.time <= end:
-                weight[car] += size
-                moment[car] += size * offset
-        arm = np.divide(moment, weight, out=np.zeros_like(moment), where=weight > 0.0)
-        yaw = sample.q[:, 2]
-        force = sample.external_force
-        result: NDArray[np.float64] = arm * (np.cos(yaw) * force[:, 1] - np.sin(yaw) * force[:, 0])
-        return result
 
     def train_state(self, s: Sample) -> Any:
         """``derail_msgs/TrainState`` of a sample."""
@@ -241,7 +221,7 @@ class StateEncoder:
             "corner_other_car": s.corner_other.reshape(-1),
             "external_force_x": external[0],
             "external_force_y": external[1],
-            "external_moment": self._external_moment(s),
+            "external_moment": s.external_moment,
         }
 
     @staticmethod
@@ -265,7 +245,7 @@ class StateEncoder:
             "step": s.step,
             "time": s.time,
             "coupled": s.coupled,
-            "relative_angle": s.coupler_angle,
+            "relative_angle": s.relative_angle,
             "knuckle_moment": s.knuckle_moment,
             "constraint_force_x": force[0],
             "constraint_force_y": force[1],
@@ -282,9 +262,7 @@ class StateEncoder:
         return self._message("derail_msgs/msg/EnergyLedger", self._energy(s))
 
     def _energy(self, s: Sample) -> dict[str, Any]:
-        from derail_ros.engine import ENERGY_ENTRIES
-
-        ledger = dict(zip(ENERGY_ENTRIES, s.energy.tolist()))
+        ledger = s.energy
         initial = ledger["initial"]
         return {
             "step": s.step,

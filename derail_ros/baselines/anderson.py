@@ -40,8 +40,7 @@ from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
 from derail_ros.engine.methods import RKF45
-from derail_ros.engine.outcome import car_corners, scene_box
-from derail_ros.engine.simulation import Simulation
+from derail_ros.engine.simulation import PlanarSimulation
 from derail_ros.engine.solver import (
     acceleration_gamma,
     factor,
@@ -59,6 +58,7 @@ from derail_ros.vocabulary.errors import (
     TrackEndError,
 )
 from derail_ros.vocabulary.params import GRAVITY, TrainParams
+from derail_ros.vocabulary.scene import car_corners, scene_box
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -605,7 +605,7 @@ class AndersonModel:
             if not 0.0 <= value <= high or not math.isfinite(value):
                 raise ParameterError(f"anderson.{name}", f"is out of its range: {value:g}")
         self.params = params
-        start = Simulation(params)
+        start = PlanarSimulation(params)
         self.track = start.track
         self._model, self._state, self._work = start._model, start._state, start._work
         plain_masses(self._model, self._work.wk)
@@ -717,12 +717,12 @@ class AndersonModel:
 
     def outcome(self) -> AndersonOutcome:
         """What came of the run so far."""
-        from derail_ros.engine.simulation import STATUS
+        from derail_ros.engine.reports import STATUS
 
         s, o = self._state, self._other
         off = (s.truck_on == 0).any(axis=1)
         corners = car_corners(
-            s.q[:, :3], self._model.car[:, L.HALF_L], self._model.car[:, L.HALF_W]
+            s.q[:, :3], 2.0 * self._model.car[:, L.HALF_L], 2.0 * self._model.car[:, L.HALF_W]
         )
         box = scene_box(self.track, corners[off], s.truck_s[off, 0])
         behind = np.flatnonzero(s.truck_on[:, 0])

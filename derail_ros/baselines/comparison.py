@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.baselines.models import MODELS, ModelRun, run_model
 from derail_ros.baselines.train import ModelError
-from derail_ros.studies.records import Record
+from derail_ros.vocabulary.measures import Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.engine import TrainParams
     from derail_ros.review.scene import Scene
+    from derail_ros.vocabulary.params import TrainParams
 
 MEASURES: tuple[tuple[str, str, float, int], ...] = (
     ("cars derailed", "cars_derailed", 1.0, 1),
@@ -51,7 +51,7 @@ def compare(
 
     ``progress`` is told the model that comes next and how many are done.
     """
-    from derail_ros.engine import DerailError
+    from derail_ros.vocabulary.errors import DerailError
 
     entries = []
     for done, name in enumerate(models):

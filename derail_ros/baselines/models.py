@@ -22,11 +22,14 @@ from derail_ros.baselines.train import (
     derailing_train,
     is_straight,
 )
-from derail_ros.studies.records import Record, number, outcome_record
+from derail_ros.vocabulary.measures import MEASURES, Record, outcome_record
+from derail_ros.vocabulary.status import AT_REST
+from derail_ros.vocabulary.words import finite
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Simulation, TrainParams
     from derail_ros.review.scene import Scene
+    from derail_ros.vocabulary.params import TrainParams
+    from derail_ros.vocabulary.simulation import Simulation
 
 MODELS: dict[str, str] = {
     "toma": "E. E. Toma 1998, the main model",
@@ -52,22 +55,6 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 }
 """Models with constants of their own that a caller may choose."""
 
-ENERGIES = (
-    "kinetic",
-    "striker",
-    "knuckle",
-    "initial",
-    "brakes",
-    "ground_trucks",
-    "ground_body",
-    "collisions",
-    "striker_dampers",
-    "knuckles_released",
-    "external",
-    "stabilization_net",
-    "stabilization_gross",
-)
-
 
 @dataclass(frozen=True)
 class ModelRun:
@@ -89,35 +76,8 @@ class ModelRun:
 
 def blank_record() -> Record:
     """A record in which nothing is known."""
-    return {
-        "cars_derailed": None,
-        "derailed_cars": None,
-        "duration_s": None,
-        "at_rest": True,
-        "first_derailment_s": None,
-        "peak_force_N": None,
-        "peak_force_pair": None,
-        "peak_force_time_s": None,
-        "peak_resultant_N": None,
-        "cars_above_5MN": None,
-        "cars_above_10MN": None,
-        "scene_length_m": None,
-        "scene_width_m": None,
-        "scene_area_m2": None,
-        "severity": None,
-        "rear_stop_m": None,
-        "max_coupler_gap_m": None,
-        "max_truck_offset_m": None,
-        "energy_initial_J": None,
-        "energy_J": dict.fromkeys(ENERGIES),
-        "energy_residual": None,
-        "void": False,
-        "status": "at rest",
-        "end_time_s": None,
-        "steps": None,
-        "rejected_steps": None,
-        "wall_s": None,
-    }
+    known = {"status": AT_REST, "at_rest": True, "void": False}
+    return dict.fromkeys(MEASURES) | known | {"energy_J": {}, "wall_s": None}
 
 
 def run_model(
@@ -164,7 +124,7 @@ def run_model(
         run = _blockage(params)
     else:
         run = _bar(name, params)
-    run.record["wall_s"] = number(time.perf_counter() - began, 6)
+    run.record["wall_s"] = finite(time.perf_counter() - began, 6)
     return run
 
 
@@ -181,17 +141,17 @@ def _go(simulation: Simulation, progress: Callable[[float, int], None] | None) -
 def _toma(
     params: TrainParams, roll: bool, progress: Callable[[float, int], None] | None
 ) -> ModelRun:
-    from derail_ros.engine import Simulation
+    from derail_ros import models
     from derail_ros.review.scene import scene_from_simulation
 
-    simulation = Simulation(params)
+    simulation = models.build(params)
     notes: dict[str, Any] = {}
     if roll:
         from derail_ros.baselines.anderson import roll_estimates
 
         free = free_speeds(simulation)
         notes["roll_deg"] = _degrees(roll_estimates(free))
-        notes["free_speed_m_per_s"] = [number(v, 3) for v in free]
+        notes["free_speed_m_per_s"] = [finite(v, 3) for v in free]
     else:
         _go(simulation, progress)
     return ModelRun(
@@ -200,7 +160,7 @@ def _toma(
 
 
 def _degrees(angles: NDArray[np.float64]) -> list[float | None]:
-    return [number(math.degrees(a), 1) for a in angles]
+    return [finite(math.degrees(a), 1) for a in angles]
 
 
 def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
@@ -232,12 +192,12 @@ def _yang_manos(
     own: dict[str, float],
     progress: Callable[[float, int], None] | None,
 ) -> ModelRun:
+    from derail_ros import models
     from derail_ros.baselines.yang_manos import YangManosParams, configure, zigzag
-    from derail_ros.engine import Simulation
     from derail_ros.review.scene import scene_from_simulation
 
     train = derailing_train(params)
-    simulation = Simulation(configure(params, YangManosParams(**own)))
+    simulation = models.build(configure(params, YangManosParams(**own)))
     _go(simulation, progress)
     outcome = simulation.outcome()
     record = outcome_record(outcome)
@@ -255,9 +215,9 @@ def _yang_manos(
     record["energy_J"]["collisions"] = None
     record["energy_J"]["ground_body"] = None
     scene = scene_from_simulation(simulation)
-    yaw = outcome.final_pose[: outcome.cars_derailed, 2]
+    yaw = outcome.pose[: outcome.cars_derailed, 5]
     notes = {
-        "zigzag": number(zigzag(yaw), 3),
+        "zigzag": finite(zigzag(yaw), 3),
         "couplings_parted": int((~simulation.sample().coupled.astype(bool)).sum()),
     }
     numbers = tuple(train.first + 1 + i for i in range(train.n))
@@ -292,29 +252,29 @@ def _anderson(
     record |= {
         "cars_derailed": len(o.derailed_cars),
         "derailed_cars": list(o.derailed_cars),
-        "duration_s": number(o.duration),
-        "scene_length_m": number(o.scene[0]),
-        "scene_width_m": number(o.scene[1]),
-        "scene_area_m2": number(o.scene[2]),
-        "rear_stop_m": number(o.rear_stop),
-        "energy_initial_J": number(o.energy["initial"]),
-        "energy_J": {k: number(v) for k, v in o.energy.items()},
-        "energy_residual": number(o.residual),
+        "duration_s": finite(o.duration),
+        "scene_length_m": finite(o.scene[0]),
+        "scene_width_m": finite(o.scene[1]),
+        "scene_area_m2": finite(o.scene[2]),
+        "rear_stop_m": finite(o.rear_stop),
+        "energy_initial_J": finite(o.energy["initial"]),
+        "energy_J": {k: finite(v) for k, v in o.energy.items()},
+        "energy_residual": finite(o.residual),
         "void": o.status == "void",
         "status": o.status,
         "at_rest": o.status == "at rest",
-        "end_time_s": number(o.time),
+        "end_time_s": finite(o.time),
         "steps": o.steps,
         "rejected_steps": o.rejected_steps,
     }
     record["energy_J"]["ground_body"] = record["energy_J"]["knuckle"] = None
     notes: dict[str, Any] = {
         "couplings_parted": len(o.parted),
-        "approach_speed_m_per_s": [number(v, 3) for v in o.approach_speed],
+        "approach_speed_m_per_s": [finite(v, 3) for v in o.approach_speed],
     }
     if o.approach_speed.max(initial=0.0) > 0.0:
         worst = int(np.argmax(o.approach_speed))
-        notes["largest_approach_speed_m_per_s"] = number(o.approach_speed[worst], 3)
+        notes["largest_approach_speed_m_per_s"] = finite(o.approach_speed[worst], 3)
         notes["largest_approach_pair"] = sorted([worst + 1, int(o.approach_other[worst])])
     if roll:
         notes["roll_deg"] = _degrees(o.roll)
@@ -344,40 +304,40 @@ def _numbers(train: Train, count: float) -> list[int]:
 
 def _roorda_gracie(params: TrainParams, own: dict[str, float]) -> ModelRun:
     from derail_ros.baselines.roorda_gracie import roorda_gracie
-    from derail_ros.engine.outcome import car_corners, scene_box
-    from derail_ros.engine.track import Track
+    from derail_ros.engine import Track
     from derail_ros.review.scene import make_scene
+    from derail_ros.vocabulary.scene import car_corners, scene_box
 
     if not is_straight(params):
         raise ModelError("the model of Roorda and Gracie is put to work on straight track only")
     train = derailing_train(params)
     run = roorda_gracie(train, brakes_of(params, train), **own)
     k = run.derailed
-    half = [np.array([0.5 * getattr(c, key) for c in train.cars]) for key in ("length", "width")]
+    size = [np.array([getattr(c, key) for c in train.cars]) for key in ("length", "width")]
     straight = Track(dataclasses.replace(params.track, segments=()))
-    corners = car_corners(run.pose, *half)
+    corners = car_corners(run.pose, *size)
     box = scene_box(straight, corners[:k], run.pose[:k, 0])
     record = blank_record()
     record |= {
         "cars_derailed": k,
         "derailed_cars": _numbers(train, k),
-        "duration_s": number(run.duration),
-        "scene_length_m": number(box[0]),
-        "scene_width_m": number(box[1]),
-        "scene_area_m2": number(box[2]),
-        "energy_initial_J": number(run.energy[0]),
+        "duration_s": finite(run.duration),
+        "scene_length_m": finite(box[0]),
+        "scene_width_m": finite(box[1]),
+        "scene_area_m2": finite(box[2]),
+        "energy_initial_J": finite(run.energy[0]),
         "status": "whole train derailed" if run.whole_train else "at rest",
-        "end_time_s": number(run.duration),
+        "end_time_s": finite(run.duration),
         "steps": len(run.time) - 1,
         "rejected_steps": 0,
     }
     if k < train.n:
-        record["rear_stop_m"] = number(run.pose[k, 0] + train.cars[k].truck_distance)
+        record["rear_stop_m"] = finite(run.pose[k, 0] + train.cars[k].truck_distance)
     record["energy_J"] |= {
-        "kinetic": number(run.energy[-1]),
-        "initial": number(run.energy[0]),
-        "brakes": number(run.brake_work),
-        "ground_trucks": number(run.ground_work),
+        "kinetic": finite(run.energy[-1]),
+        "initial": finite(run.energy[0]),
+        "brakes": finite(run.brake_work),
+        "ground_trucks": finite(run.ground_work),
     }
     on = np.ones((train.n, 2), dtype=bool)
     on[:k] = False
@@ -390,7 +350,7 @@ def _roorda_gracie(params: TrainParams, own: dict[str, float]) -> ModelRun:
     )
     numbers = tuple(train.first + 1 + i for i in range(train.n))
     scene = dataclasses.replace(_boxed(scene, box), numbers=numbers)
-    return ModelRun("roorda-gracie", record, scene, {"advance_m": number(run.advance, 3)})
+    return ModelRun("roorda-gracie", record, scene, {"advance_m": finite(run.advance, 3)})
 
 
 def _one_dimensional(
@@ -398,12 +358,12 @@ def _one_dimensional(
 ) -> Record:
     record = blank_record()
     record |= {
-        "cars_derailed": number(count, 3),
+        "cars_derailed": finite(count, 3),
         "derailed_cars": _numbers(train, count),
-        "duration_s": number(duration),
-        "energy_initial_J": number(0.5 * masses * train.speed**2),
+        "duration_s": finite(duration),
+        "energy_initial_J": finite(0.5 * masses * train.speed**2),
         "status": "whole train derailed" if whole else "at rest",
-        "end_time_s": number(duration),
+        "end_time_s": finite(duration),
     }
     record["energy_J"]["initial"] = record["energy_initial_J"]
     return record
@@ -428,8 +388,8 @@ def _blockage(params: TrainParams) -> ModelRun:
         float(train.masses().sum()),
     )
     notes = {
-        "distance_m": number(answer.distance, 3),
-        "peak_speed_m_per_s": number(answer.peak_speed, 3),
+        "distance_m": finite(answer.distance, 3),
+        "peak_speed_m_per_s": finite(answer.peak_speed, 3),
     }
     return ModelRun("blockage", record, None, notes)
 
@@ -454,7 +414,7 @@ def _bar(name: str, params: TrainParams) -> ModelRun:
         float(train.masses().sum()),
     )
     notes = {
-        "distance_m": number(answer.distance, 3),
-        "peak_speed_m_per_s": number(answer.peak_speed, 3),
+        "distance_m": finite(answer.distance, 3),
+        "peak_speed_m_per_s": finite(answer.peak_speed, 3),
     }
     return ModelRun(name, record, None, notes)

@@ -26,13 +26,14 @@ from derail_ros.baselines.comparison import (
 )
 from derail_ros.baselines.models import MODELS, VARIED, ModelRun, run_model
 from derail_ros.studies.ensemble import Result, Run, Stopped, member_factor, run_many, vary
-from derail_ros.studies.records import Record, failed_record, summarize
+from derail_ros.studies.records import summarize
+from derail_ros.vocabulary.measures import Record, failed_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.engine import TrainParams
     from derail_ros.studies.accidents import SpeedClass
+    from derail_ros.vocabulary.params import TrainParams
 
 BEGIN = "<!-- results: {} -->"
 END = "<!-- end of results -->"

@@ -29,13 +29,13 @@ from derail_ros.studies.accidents import (
     statistics_of,
 )
 from derail_ros.studies.ensemble import Run, Stopped, run_many
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.engine import TrainParams
     from derail_ros.scenario import Scenario
+    from derail_ros.vocabulary.params import TrainParams
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.baselines.reenact import Way
@@ -151,7 +151,7 @@ def _run_models(
     as_json: bool,
 ) -> int:
     from derail_ros.baselines import reenact as r
-    from derail_ros.engine import ParameterError
+    from derail_ros.vocabulary.errors import ParameterError
 
     ways = _ways(models, settings)
     common.warm_up()
@@ -336,7 +336,7 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
     """Run what ``docs/accidents.md`` shows; write it, its figures and the shipped averages."""
     from derail_ros.baselines import reenact as r
     from derail_ros.baselines.page import fill, missing_markers
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
     from derail_ros.review import figures
     from derail_ros.studies import accidents as a
 
@@ -369,7 +369,7 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
         f"{len(reports)} freight trains derailed on main track, {outside} of them at speeds "
         f"outside {a.CLASSES_TEXT}, which are in no table. One run a train and model, no "
         f"ensemble; of all causes at most {plan.every} trains of a class of speed, drawn with "
-        f"seed {seed}. Mean ± its standard error. Engine {source_hash()[:16]}.</sub>"
+        f"seed {seed}. Mean ± its standard error. Engine {engine_hash()[:16]}.</sub>"
     )
     for name, figure in r.figures(results).items():
         figures.save(figure, images / name, dpi=common.IMAGE_DPI)

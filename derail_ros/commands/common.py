@@ -73,9 +73,9 @@ def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
 
 def warm_up() -> None:
     """Have the engine's kernels ready, saying so if they must be compiled first."""
-    from derail_ros.engine import warm_up as engine_warm_up
+    from derail_ros import models
 
-    engine_warm_up(lambda text: note(f"derail: {text}"))
+    models.engine().warm_up(lambda text: note(f"derail: {text}"))
 
 
 PLAIN_S = 10.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from derail_ros.commands.common import OK, CommandFailure, out, print_json
-from derail_ros.studies.records import number
+from derail_ros.vocabulary.words import finite
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,10 @@ def run(
     rows = [
         {
             "cars": n,
-            "cars_derailed": number(d, 3),
+            "cars_derailed": finite(d, 3),
             "whole_train": bool(w),
-            "distance_m": number(x, 2),
-            "duration_s": number(t, 2),
+            "distance_m": finite(x, 2),
+            "duration_s": finite(t, 2),
         }
         for n, d, w, x, t in zip(
             counts,
@@ -109,7 +109,7 @@ def run(
             bar.limiting_speed(counts, mu1=mu1, mu2=mu2, car_length=car_length, form=form) * 3.6
         )
         for row, value in zip(rows, limit, strict=True):
-            row["limiting_speed_kmh"] = number(value, 2)
+            row["limiting_speed_kmh"] = finite(value, 2)
     shown_form = form if case.forms else None
     if as_json:
         print_json(

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.baselines.models import ModelRun
     from derail_ros.scenario import Scenario
-    from derail_ros.studies.records import Record
+    from derail_ros.vocabulary.measures import Record
 
 
 def _check_model(name: str) -> None:
@@ -42,9 +42,10 @@ def run(
 ) -> int:
     """Run a scenario with one of the models; the exit code."""
     from derail_ros.baselines.models import VARIED, ModelError, run_model
-    from derail_ros.engine import ParameterError, SimulationError
     from derail_ros.studies.ensemble import Run, Stopped, run_many
-    from derail_ros.studies.records import Moments, failed_record
+    from derail_ros.studies.records import Moments
+    from derail_ros.vocabulary.errors import ParameterError, SimulationError
+    from derail_ros.vocabulary.measures import failed_record
 
     _check_model(model)
     if roll and model not in ("toma", "anderson"):
@@ -261,7 +262,7 @@ def write_results(
 ) -> None:
     """Fill the page and write its figures; a page that does not exist becomes a bare one."""
     from derail_ros.baselines import page
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
     from derail_ros.review import figures
 
     drawn = page.figures(cases, plan)
@@ -275,7 +276,7 @@ def write_results(
         f"{few} each for other choices of constants, one for the others; mean ± standard "
         "deviation of single runs. Scenes drawn are those of the scenario itself. Wall times: the "
         f"least of these runs or of {page.REPEATS}, {at}, kernels compiled before. "
-        f"Engine {source_hash()[:16]}.</sub>"
+        f"Engine {engine_hash()[:16]}.</sub>"
     )
     if text is None:
         text = page.bare({name: f"images/{name}" for name in drawn})
@@ -423,7 +424,7 @@ def joint_velocities(
     import numpy as np
 
     from derail_ros.baselines.joints import joint_velocities as solve
-    from derail_ros.studies.records import number
+    from derail_ros.vocabulary.words import finite
 
     inertia = None
     if scenario is None:
@@ -452,12 +453,12 @@ def joint_velocities(
     bars = [
         {
             "bar": i + 1,
-            "mass_kg": number(mass[i]),
-            "length_m": number(lengths[i]),
-            "front_joint_m_per_s": number(answer.joint[i]),
-            "front_joint_relative": number(answer.relative[i]),
-            "centre_m_per_s": number(answer.centre[i]),
-            "yaw_rate_rad_per_s": number(answer.yaw_rate[i]),
+            "mass_kg": finite(mass[i]),
+            "length_m": finite(lengths[i]),
+            "front_joint_m_per_s": finite(answer.joint[i]),
+            "front_joint_relative": finite(answer.relative[i]),
+            "centre_m_per_s": finite(answer.centre[i]),
+            "yaw_rate_rad_per_s": finite(answer.yaw_rate[i]),
         }
         for i in range(len(mass))
     ]
@@ -467,9 +468,9 @@ def joint_velocities(
                 "train": name,
                 "impulse_N_s": impulse,
                 "bars": bars,
-                "tail_m_per_s": number(answer.joint[-1]),
-                "tail_relative": number(answer.relative[-1]),
-                "energy_J": number(answer.energy),
+                "tail_m_per_s": finite(answer.joint[-1]),
+                "tail_relative": finite(answer.relative[-1]),
+                "energy_J": finite(answer.energy),
             }
         )
         return OK

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from derail_ros.commands.common import OK
 from derail_ros.commands.review import bag_errors, warn
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 
 def run(bag: str, output: Path | None) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.review import bag_errors
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 def run(place: str, as_json: bool) -> int:
     """Replay and compare; the exit code."""
-    from derail_ros.engine import ParameterError
     from derail_ros.recording.recomputation import as_plain, engine_differs, replay
     from derail_ros.scenario import ScenarioError
+    from derail_ros.vocabulary.errors import ParameterError
 
     manifest, told = _found(Path(place))
     other = engine_differs(manifest)

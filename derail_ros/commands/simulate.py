@@ -19,12 +19,28 @@ from derail_ros.studies.ensemble import (
     ensemble_runs,
     run_many,
 )
-from derail_ros.studies.records import Moments, Record, failed_record, flatten, outcome_record
-from derail_ros.vocabulary.counts import count
+from derail_ros.studies.records import Moments
+from derail_ros.vocabulary.ledger import SMALL_SHARE, percentages, shares
+from derail_ros.vocabulary.measures import (
+    HEADLINE,
+    MEASURES,
+    NUMERICS,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Measure,
+    Record,
+    counted,
+    failed_record,
+    outcome_record,
+    record_numbers,
+)
+from derail_ros.vocabulary.status import TIME_LIMIT, VOID
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome, Simulation, TrainParams
     from derail_ros.scenario import Scenario
+    from derail_ros.vocabulary.params import TrainParams
+    from derail_ros.vocabulary.simulation import Simulation
 
 
 def run(
@@ -35,9 +51,11 @@ def run(
     jobs: int | None,
     as_json: bool,
     output: Path | None,
+    verbose: bool = False,
 ) -> int:
     """Simulate and report; the exit code."""
-    from derail_ros.engine import ParameterError, Simulation
+    from derail_ros import models
+    from derail_ros.vocabulary.errors import ParameterError
 
     scenario = common.load(name_or_file, settings)
     params = scenario.to_params()
@@ -47,7 +65,7 @@ def run(
         output = common.output_directory(output)
     common.warm_up()
     try:
-        simulation = Simulation(params)
+        simulation = models.build(params)
     except ParameterError as error:
         raise CommandFailure(f"{scenario.name}: {error}") from None
 
@@ -74,6 +92,8 @@ def run(
         moments.add(record)
 
     report = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
         "scenario": scenario.name,
         "title": scenario.title,
         "hash": scenario.hash,
@@ -84,7 +104,7 @@ def run(
         "outcomes": outcomes,
         "mean": moments.mean(),
         "sd": moments.sd(),
-        "model": "toma",
+        "model": params.model,
         "notes": {},
         "warnings": warnings,
     }
@@ -93,7 +113,7 @@ def run(
     if as_json:
         common.print_json(report)
     else:
-        _print(report, output)
+        _print(report, output, verbose)
     for warning in warnings:
         note(f"derail: warning: {warning}")
     if moments.failed:
@@ -152,7 +172,7 @@ def _first(
         bars.update(task, state=f"{running.time:.1f} s, {count(derailed, 'car')} derailed")
 
     began = time.perf_counter()
-    from derail_ros.engine import SimulationError
+    from derail_ros.vocabulary.errors import SimulationError
 
     try:
         if output is not None:
@@ -227,8 +247,7 @@ def write_figures(output: Path, title: str, simulation: Simulation) -> None:
     from derail_ros.review.scene import scene_from_simulation
 
     outcome = simulation.outcome()
-    line = sentence(outcome)
-    scene = scene_from_simulation(simulation, title, line)
+    scene = scene_from_simulation(simulation, title, outcome.text)
     figures.save(figures.final_scene(scene), output / "final_scene.png")
     figures.save(
         figures.peak_forces(
@@ -252,7 +271,7 @@ def write_csv(path: Path, records: Sequence[Record]) -> None:
         row["error"] = record.get("error", "")
         pair = record.get("peak_force_pair")
         row["peak_force_pair"] = "" if pair is None else f"{pair[0]}-{pair[1]}"
-        row |= flatten(record)
+        row |= record_numbers(record)
         rows.append(row)
     names = list(dict.fromkeys(name for row in rows for name in row))
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -264,103 +283,27 @@ def write_csv(path: Path, records: Sequence[Record]) -> None:
 # Words and tables --------------------------------------------------------------------------
 
 
-CUT_OFF = "time limit"
-"""Status of a run that its time limit ended."""
-
 NOT_AT_REST = "the run ended at its time limit, not at rest (integration.time_limit_s)"
-
-
-def sentence(outcome: Outcome) -> str:
-    """An outcome in a line."""
-    n = outcome.cars_derailed
-    text = f"{count(n, 'car')} derailed"
-    if outcome.duration == outcome.duration:  # not nan
-        text += (
-            f", cut off at the time limit at {outcome.duration:.1f} s"
-            if outcome.status == CUT_OFF
-            else f", at rest after {outcome.duration:.1f} s"
-        )
-    else:
-        text += f", {outcome.status} at {outcome.time:.1f} s"
-    if outcome.peak_force_pair is not None:
-        a, b = outcome.peak_force_pair
-        text += (
-            f"; largest force {outcome.peak_force * 1e-6:.1f} MN, car {a} into car {b}"
-            f" at {outcome.peak_force_time:.2f} s"
-        )
-    if n:
-        text += f"; scene {outcome.scene_length:.1f} m × {outcome.scene_width:.1f} m"
-    return text
-
-
-ENERGY_TAKERS = {
-    "brakes": "brakes",
-    "ground_trucks": "ground, at the trucks",
-    "ground_body": "ground, over the bodies",
-    "collisions": "collisions",
-    "striker_dampers": "draft gear",
-    "knuckles_released": "couplings that parted",
-}
-"""Ledger entries that take energy out, in words."""
 
 
 def stopped_by(record: Record) -> str:
     """What share of the energy at the start went where."""
-    initial, energy = record.get("energy_initial_J"), record.get("energy_J")
-    if not initial or not energy:
-        return ""
-    shares = {
-        words: 100.0 * energy[name] / initial
-        for name, words in ENERGY_TAKERS.items()
-        if energy.get(name) is not None
-    }
-    ranked = sorted(shares.items(), key=lambda item: -item[1])
-    return ", ".join(f"{words} {share:.0f} %" for words, share in ranked if share >= 0.5)
+    ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
+    large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]
+    numbers = percentages([share for _, share in large])
+    return ", ".join(f"{words} {n} %" for (words, _), n in zip(large, numbers))
 
 
-Format = Any
-
-
-def _cars(cars: Sequence[int]) -> str:
-    """``1-5, 8`` for [1, 2, 3, 4, 5, 8]."""
-    groups: list[list[int]] = []
-    for car in cars:
-        if groups and car == groups[-1][1] + 1:
-            groups[-1][1] = car
-        else:
-            groups.append([car, car])
-    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in groups) or "none"
-
-
-ROWS: tuple[tuple[str, str, float, str], ...] = (
-    ("cars derailed", "cars_derailed", 1.0, ".1f"),
-    ("duration (s)", "duration_s", 1.0, ".2f"),
-    ("peak force (MN)", "peak_force_N", 1e-6, ".2f"),
-    ("  at (s)", "peak_force_time_s", 1.0, ".2f"),
-    ("scene length (m)", "scene_length_m", 1.0, ".1f"),
-    ("scene width (m)", "scene_width_m", 1.0, ".1f"),
-    ("scene area (m2)", "scene_area_m2", 1.0, ".0f"),
-    ("severity (base train: 1)", "severity", 1.0, ".2f"),
-    ("cars struck above 5 MN", "cars_above_5MN", 1.0, ".1f"),
-    ("cars struck above 10 MN", "cars_above_10MN", 1.0, ".1f"),
-    ("rear part stopped at (m)", "rear_stop_m", 1.0, ".1f"),
-    ("coupler gap, largest (um)", "max_coupler_gap_m", 1e6, ".3g"),
-    ("energy residual (%)", "energy_residual", 100.0, ".2g"),
-    ("steps", "steps", 1.0, ".0f"),
-    ("wall time (s)", "wall_s", 1.0, ".3f"),
-)
-
-
-def _print(report: Record, output: Path | None) -> None:
+def _print(report: Record, output: Path | None, verbose: bool) -> None:
     from rich.markup import escape
 
     console = common.out()
     console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
     outcomes = report["outcomes"]
     if report["members"] == 1:
-        console.print(_one(outcomes[0]))
+        console.print(_one(outcomes[0], verbose))
     else:
-        console.print(_many(report))
+        console.print(_many(report, verbose))
     if output is not None:
         console.print(f"results in {escape(str(output))}{_of_which(report)}", soft_wrap=True)
 
@@ -381,64 +324,53 @@ def _table() -> Any:
     return Table(box=None, pad_edge=False, show_header=True, header_style="bold")
 
 
-def _one(record: Record) -> Any:
+def _rows(verbose: bool) -> list[Measure]:
+    """The measures of the table."""
+    groups = (HEADLINE, NUMERICS) if verbose else (HEADLINE,)
+    return [m for m in MEASURES.values() if m.group in groups]
+
+
+def _one(record: Record, verbose: bool) -> Any:
     table = _table()
     table.add_column("outcome")
     table.add_column("")
     if "error" in record:
         table.add_row("failed", record["error"])
         return table
-    cut_off = record["status"] == CUT_OFF
-    why = VOID if record["void"] else f": {NOT_AT_REST}" if cut_off else ""
-    table.add_row("status", record["status"] + why)
-    for label, key, factor, form in ROWS:
-        value = record[key]
-        if isinstance(value, list):
-            text = f"{len(value)}  ({_cars(value)})" if value else "0"
-        elif value is None:
-            text = "-"
-        elif isinstance(value, int):
-            text = str(value)
-        else:
-            text = format(value * factor, form)
-        if key == "cars_derailed" and value:
-            text += f"  ({_cars(record['derailed_cars'])})"
-        if key == "peak_force_N" and record["peak_force_pair"] is not None:
-            a, b = record["peak_force_pair"]
-            text += f"  (car {a} into car {b})"
-        if key in ("duration_s", "rear_stop_m") and value is not None and cut_off:
-            text += "  (cut off)"
-        table.add_row(label, text)
+    status = record["status"]
+    why = {VOID: VOID_WORDS, TIME_LIMIT: f": {NOT_AT_REST}"}.get(status, "")
+    table.add_row("status", status + why)
+    for m in _rows(verbose):
+        table.add_row(m.title, m.shown(record.get(m.key)))
     if words := stopped_by(record):
         table.add_row("stopped by", words)
     return table
 
 
-VOID = ": the body that stands for the cars behind reached a break; model more cars"
+VOID_WORDS = ": the body that stands for the cars behind reached a break; model more cars"
 
 
-def _many(report: Record) -> Any:
-    from derail_ros.studies.records import counted
+def _many(report: Record, verbose: bool) -> Any:
 
     table = _table()
     table.add_column("ensemble")
     for heading in ("mean", "sd", "least", "most", "member 0"):
         table.add_column(heading, justify="right")
-    good = [flatten(r) for r in report["outcomes"] if counted(r)]
-    first = flatten(report["outcomes"][0])
-    for label, key, factor, form in ROWS:
-        values = [r[key] for r in good if key in r]
+    good = [record_numbers(r) for r in report["outcomes"] if counted(r)]
+    first = record_numbers(report["outcomes"][0])
+    for m in _rows(verbose):
+        values = [r[m.key] for r in good if m.key in r]
         if not values:
             continue
-        mean, sd = report["mean"].get(key), report["sd"].get(key)
-        cells = (mean, sd, min(values), max(values), first.get(key))
-        table.add_row(label, *("-" if c is None else format(c * factor, form) for c in cells))
+        mean, sd = report["mean"].get(m.key), report["sd"].get(m.key)
+        ends = (min(values), max(values), first.get(m.key))
+        table.add_row(m.title, m.shown(mean, 1), m.shown(sd, 1), *(m.shown(v) for v in ends))
     counts = count(report["members"], "run")
     if report["void"]:
         counts += f", {report['void']} void and left out"
     if report["failed"]:
         counts += f", {report['failed']} failed"
-    cut_off = sum(r["status"] == CUT_OFF for r in report["outcomes"])
+    cut_off = sum(r["status"] == TIME_LIMIT for r in report["outcomes"])
     if cut_off:
         counts += f", {cut_off} ended at the time limit, not at rest"
     table.caption = counts

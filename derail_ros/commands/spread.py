@@ -8,7 +8,7 @@ from typing import Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 
 def run(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, INTERRUPTED, OK, CommandFailure, note
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.studies.results import StudyResults

@@ -15,20 +15,14 @@ from derail_ros.engine.methods import METHODS
 from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ParameterError
 from derail_ros.vocabulary.params import GRAVITY, Car, CouplerType, TrainParams
+from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES, ENDS
 
 F64 = NDArray[np.float64]
 
 SHOES = {"none": 0.0, "composition": 1.0, "cast_iron": 2.0}
 GAP_LAWS = {"gaussian": 0.0, "lorentzian": 1.0}
 STABILIZATIONS = {"projection": 1.0, "baumgarte": 0.0}
-ARRIVALS = {
-    "conventional": L.ARR_CONV,
-    "instant": L.ARR_INST,
-    "traction_limited": L.ARR_TL,
-    "instant_traction_limited": L.ARR_INST_TL,
-}
-SOURCES = ("front", "rear", "both_ends", "car")
-ENDS = ("front", "rear")
+ARRIVALS = dict(zip(BRAKE_MODES, (L.ARR_CONV, L.ARR_INST, L.ARR_TL, L.ARR_INST_TL)))
 MAX_CARS = 5000
 
 
@@ -217,9 +211,9 @@ def check_trigger(mode: str, source: str, car: int, delay: float, n: int, where:
         f"must be one of {', '.join(ARRIVALS)}",
     )
     require(
-        isinstance(source, str) and source in SOURCES,
+        isinstance(source, str) and source in BRAKE_SOURCES,
         f"{where}.source",
-        f"must be one of {', '.join(SOURCES)}",
+        f"must be one of {', '.join(BRAKE_SOURCES)}",
     )
     if source == "car":
         require(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections.abc
 import dataclasses
 import hashlib
 import json
@@ -71,7 +72,7 @@ def from_plain(kind: Any, value: Any) -> Any:
         return tuple(from_plain(a, v) for a, v in zip(args, value, strict=True))
     if origin in (typing.Union, types.UnionType):
         return value
-    if origin is dict or kind is object:
+    if origin in (dict, collections.abc.Mapping) or kind is object:
         return value
     return kind(value) if isinstance(kind, type) else value
 

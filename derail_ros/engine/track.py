@@ -140,6 +140,11 @@ class Track:
         self.start = params.start_coordinate if rows else -math.inf
         self.end = s if rows else math.inf
 
+    @property
+    def straight(self) -> bool:
+        """The endless straight along +X, with track coordinate X."""
+        return len(self.pieces) == 0
+
     def point(self, s: float) -> tuple[float, float, float, float]:
         """Place, heading and curvature at the track coordinate ``s``: (x, y, heading, kappa)."""
         if len(self.pieces) == 0:

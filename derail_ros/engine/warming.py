@@ -111,9 +111,9 @@ def _small_train() -> TrainParams:
 
 def _exercise(before_steps: Callable[[], object] = lambda: None) -> None:
     """Run a train of three cars for a moment, through every kernel a run uses."""
-    from derail_ros.engine.simulation import Simulation
+    from derail_ros.engine.simulation import PlanarSimulation
 
-    run = Simulation(_small_train())
+    run = PlanarSimulation(_small_train())
     before_steps()
     run.advance_to(0.01)
     run.sample()

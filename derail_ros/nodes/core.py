@@ -23,6 +23,7 @@ from derail_ros.recording.session import Prepared, Rates, Session, prepare
 from derail_ros.scenario import ScenarioError, load_scenario_by_name, loads_scenario
 from derail_ros.vocabulary.errors import CommandError, DerailError, SimulationError
 from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
@@ -54,9 +55,6 @@ IDLE_MARKERS = 1.0
 
 CLEARS = 3
 """Marker messages of a new run that clear what was shown: of depth 1, one could be overwritten."""
-
-BRAKE_MODES = ("conventional", "instant", "traction_limited", "instant_traction_limited")
-BRAKE_SOURCES = ("front", "rear", "both_ends", "car")
 
 
 class State(enum.IntEnum):

@@ -10,7 +10,7 @@ from typing import Any
 from derail_ros.nodes import parameters as table
 from derail_ros.nodes.process import Stop, run_node, starting
 from derail_ros.recording.listener import Listener
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
 
 GONE = 3.0

@@ -655,9 +655,9 @@ class Requests:
 
 def _run(stop: Stop, arguments: Sequence[str]) -> int:
     def warm_up() -> None:
-        from derail_ros.engine import warm_up as compile_kernels
+        from derail_ros import models
 
-        compile_kernels()
+        models.engine().warm_up()
 
     import rclpy
     from rclpy.executors import SingleThreadedExecutor

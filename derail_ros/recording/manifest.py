@@ -31,11 +31,11 @@ PACKAGES = ("numpy", "numba", "llvmlite", "pydantic", "PyYAML", "rosbags", "ros-
 
 def software_versions() -> dict[str, str]:
     """Versions of everything that a result may depend on."""
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
 
     versions = {
         "derail_ros": derail_ros.__version__,
-        "engine_hash": source_hash(),
+        "engine_hash": engine_hash(),
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "machine": platform.machine(),

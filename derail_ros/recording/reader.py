@@ -29,7 +29,7 @@ from derail_ros.recording.storage import (
     topics_of,
 )
 from derail_ros.review.scene import Scene
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 from msg_adapters.definitions import deserialize, read_copy
 
 __all__ = [

@@ -15,14 +15,15 @@ from typing import Any
 
 import yaml
 
-from derail_ros.engine import Command, Simulation
-from derail_ros.nodes.core import BRAKE_MODES, BRAKE_SOURCES
+from derail_ros import models
 from derail_ros.recording.gathered import CONSIST, gathered
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.scenario import loads_scenario
-from derail_ros.vocabulary.counts import count
 from derail_ros.vocabulary.errors import CommandError, SimulationError
-from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.events import Command, EventKind
+from derail_ros.vocabulary.simulation import Simulation
+from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES
+from derail_ros.vocabulary.words import count
 from msg_adapters.definitions import deserialize
 from msg_adapters.reports import collision_from_message, event_from_message
 from msg_adapters.topics import MANIFEST
@@ -188,7 +189,7 @@ def replay_run(entry: RunEntry, told: Told | None = None) -> Replayed:
         If its scenario cannot be run by this version.
     """
     scenario = loads_scenario(yaml.safe_dump(entry.scenario), entry.scenario_name)
-    simulation = Simulation(scenario.to_params())
+    simulation = models.build(scenario.to_params())
     cut_off = entry.status == "running"
     listed: Sequence[Mapping[str, Any]] = entry.commands
     if told is not None and (cut_off or not entry.final_state_hash):
@@ -276,9 +277,7 @@ def replay(manifest: Manifest, told: Mapping[str, Told] | None = None) -> list[R
 
 def engine_differs(manifest: Manifest) -> bool:
     """Whether another version of the engine computed the runs."""
-    from derail_ros.engine.jit import source_hash
-
-    return manifest.software.get("engine_hash", "") not in ("", source_hash())
+    return manifest.software.get("engine_hash", "") not in ("", models.engine_hash())
 
 
 def as_plain(result: Replayed) -> dict[str, Any]:

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import derail_ros
-from derail_ros.engine import Simulation
-from derail_ros.engine.sample import Sample
+from derail_ros import models
 from derail_ros.recording.manifest import RunEntry
 from derail_ros.vocabulary.errors import CommandError, SimulationError
 from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.vocabulary.sample import Sample
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
@@ -78,7 +78,7 @@ def prepare(scenario: Any, speed_kmh: float = math.nan) -> Prepared:
     """
     if math.isfinite(speed_kmh) and speed_kmh != 0.0:
         scenario = scenario.with_overrides({"train.speed_kmh": float(speed_kmh)})
-    return prepared_of(scenario, Simulation(scenario.to_params()))
+    return prepared_of(scenario, models.build(scenario.to_params()))
 
 
 def prepared_of(scenario: Any, simulation: Any) -> Prepared:
@@ -227,7 +227,7 @@ class Session:
                 scenario_hash=prepared.hash,
                 scenario_yaml=prepared.yaml,
                 software_version=derail_ros.__version__,
-                engine_hash=engine_hash(),
+                engine_hash=models.engine_hash(params.model),
                 car_types=prepared.car_types,
             ),
             context.base,
@@ -269,7 +269,7 @@ class Session:
         self._collisions += self.simulation.new_collisions()
         for contact in self._collisions:
             for car in (contact.car_a, contact.car_b):
-                self.car_peak[car - 1] = max(self.car_peak[car - 1], contact.peak_corner_force)
+                self.car_peak[car - 1] = max(self.car_peak[car - 1], contact.peak_force)
         due: list[tuple[float, int, Any]] = []
         events = self.simulation.events
         while self._done.events < len(events):
@@ -326,7 +326,6 @@ class Session:
             time=time,
             step=self.step,
             status=status,
-            coordinates=self.sample.truck_coordinate,
         )
 
     def markers(self, *, reset: bool = False) -> bytes:
@@ -465,10 +464,3 @@ class Session:
         return [*self.refused, last | {"step": self.step, "time": self.time}][
             : len(self.refused) + (more > 0)
         ]
-
-
-def engine_hash() -> str:
-    """Hash of the engine's sources and of what compiles them."""
-    from derail_ros.engine.jit import source_hash
-
-    return source_hash()

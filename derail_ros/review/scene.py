@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome, Simulation
+    from derail_ros.vocabulary.outcome import Outcome
+    from derail_ros.vocabulary.simulation import Simulation
 
 F64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -138,10 +139,10 @@ def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str
     sample = simulation.sample()
     return make_scene(
         simulation.params.cars,
-        sample.q[:, :3],
+        sample.plane,
         sample.truck_on,
         sample.coupled,
-        coupler=sample.q[:, 3:5],
+        coupler=sample.coupler_yaw,
         outcome=simulation.outcome(),
         track=simulation.track,
         breaks=simulation.rail_breaks,

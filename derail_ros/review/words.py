@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from derail_ros.recording.reader import Contact, Happening, Run
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 ENERGY_TAKERS: dict[str, str] = {
     "work_brakes": "the brakes",

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from derail_ros.engine.methods import METHODS
+from derail_ros import models
 from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.messages import did_you_mean, shown
 from derail_ros.scenario.rolling_stock import RollingStock, check_car_type
@@ -29,6 +29,7 @@ from derail_ros.scenario.schema import (
 from derail_ros.scenario.strict_yaml import Path
 from derail_ros.vocabulary.params import (
     GRAVITY,
+    METHODS,
     BrakeParams,
     BrakeTrigger,
     BrakeUnit,
@@ -400,6 +401,9 @@ def _check_brakes(model: ScenarioModel) -> None:
 
 def _check_integration(model: ScenarioModel) -> None:
     integration, contact = model.integration, model.contact
+    if model.model not in models.names():
+        reason = f"must be one of {', '.join(models.names())}, got {model.model}"
+        raise Refusal(("model",), reason)
     if integration.method not in METHODS:
         reason = f"must be one of {', '.join(METHODS)}, is {integration.method!r}"
         raise Refusal(("integration", "method"), reason)
@@ -594,6 +598,7 @@ def train_params(resolved: Resolved) -> TrainParams:
         contact=_copy(model.contact, ContactParams),
         derailment=_copy(model.derailment, DerailmentParams),
         integration=_copy(model.integration, IntegrationParams),
+        model=model.model,
     )
 
 

@@ -655,6 +655,7 @@ class ScenarioModel(Section):
     title: Title = _field(..., "", "what it is, in a line")
     description: Text = _field("", "", "what it is, at length")
     source: Text = _field("", "", "where the numbers come from")
+    model: TypeName = _field("planar", "", "model that computes the run, of `derail models`")
     train: Train = _field(..., "", "what runs, and how fast")
     couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")
     track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 KMH_PER_MPH = 1.609344
 KG_PER_SHORT_TON = 907.18474

@@ -31,10 +31,10 @@ class ClusterError(Exception):
 
 def remote(index: int, run: Run, task: Task, engine: str) -> Result | str:
     """Compute a run on a worker; its engine's hash instead if that is another one."""
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
 
-    if source_hash() != engine:
-        return source_hash()
+    if engine_hash() != engine:
+        return engine_hash()
     return attempt(index, run, task, never)
 
 
@@ -73,9 +73,9 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
     from distributed import CancelledError, as_completed
     from distributed.scheduler import KilledWorker
 
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
 
-    engine = source_hash()
+    engine = engine_hash()
     numbered = iter(enumerate(runs))
     sent: dict[str, tuple[int, Run]] = {}
 

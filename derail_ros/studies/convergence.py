@@ -35,7 +35,7 @@ from derail_ros.studies.ensemble import (
 )
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome
+    from derail_ros.vocabulary.outcome import Outcome
 
 F64 = NDArray[np.float64]
 
@@ -97,9 +97,9 @@ class Trace:
 
 def trace(run: Run, stop: Callable[[], bool]) -> Trace:
     """Compute a run and keep where its cars went."""
-    from derail_ros.engine import Simulation
+    from derail_ros import models
 
-    simulation = Simulation(run.params())
+    simulation = models.build(run.params())
     path = []
     t = 0.0
     while True:

@@ -27,7 +27,7 @@ from derail_ros.studies.plan import (
     fill,
     label_of,
 )
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 Place = tuple[str | int, ...]
 
@@ -527,7 +527,8 @@ def check(design: Design, tell: Callable[[int], None] | None = None) -> str:
     ScenarioError
         For the first point that cannot be run, naming the field.
     """
-    from derail_ros.engine import ParameterError, Simulation
+    from derail_ros import models
+    from derail_ros.vocabulary.errors import ParameterError
 
     model = design.study.model
     digest = hashlib.sha256()
@@ -540,7 +541,7 @@ def check(design: Design, tell: Callable[[int], None] | None = None) -> str:
         digest.update(json.dumps(entry, sort_keys=True, default=str).encode())
         if point.index % every == 0:
             try:
-                Simulation(scenario.to_params())
+                models.build(scenario.to_params())
             except ParameterError as error:
                 text = f"at {label_of(point.columns, design.study)}: {error}"
                 raise design.study.error(point.place, text) from None

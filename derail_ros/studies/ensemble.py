@@ -27,7 +27,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome, Simulation, TrainParams
+    from derail_ros.vocabulary.outcome import Outcome
+    from derail_ros.vocabulary.params import TrainParams
+    from derail_ros.vocabulary.simulation import Simulation
 
 VARIATION = 0.04
 """Half width of the variation of the lateral force over an ensemble, relative."""
@@ -164,9 +166,9 @@ def advance(
 
 def compute(run: Run, stop: Callable[[], bool] | None = None) -> Outcome:
     """Compute one run: the default task of :func:`run_many`."""
-    from derail_ros.engine import Simulation
+    from derail_ros import models
 
-    return advance(Simulation(run.params()), stop)
+    return advance(models.build(run.params()), stop)
 
 
 Task = Callable[[Run, Callable[[], bool]], Any]

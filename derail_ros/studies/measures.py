@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from derail_ros.engine import Outcome, TrainParams
+    from derail_ros.vocabulary.outcome import Outcome
+    from derail_ros.vocabulary.params import TrainParams
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def row(outcome: Outcome, params: TrainParams, factor: float) -> Row:
     """What a run that did not fail gives, in the order of :data:`FIELDS`."""
     derailed = outcome.derailed_cars
     pair = outcome.peak_force_pair
-    energy, initial = outcome.energy, outcome.energy_initial
+    energy, initial = outcome.energy, outcome.energy["initial"]
     ground = energy["ground_trucks"] + energy["ground_body"]
     share = 1.0 / initial if initial > 0.0 else math.nan
     values: dict[str, Any] = {

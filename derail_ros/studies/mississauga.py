@@ -117,10 +117,10 @@ def details(
 
 
 def _scenes(scenario: Any, times: list[float]) -> tuple[dict[float, Any], Scene, str]:
-    from derail_ros.engine import Simulation
+    from derail_ros import models
     from derail_ros.review.scene import make_scene, scene_from_simulation
 
-    simulation = Simulation(scenario.to_params())
+    simulation = models.build(scenario.to_params())
     scenes = {}
     for t in times:
         simulation.advance_to(t)

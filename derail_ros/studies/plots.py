@@ -24,7 +24,7 @@ from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.measures import MEASURES, shown
 from derail_ros.studies.plan import FigureSpec, shown_value
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     import pandas

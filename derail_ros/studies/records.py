@@ -1,99 +1,12 @@
-"""Outcomes as plain records for JSON and tables, and their means.
-
-Units are in the names. What does not exist (the time of a collision in a run without one) is
-``None``: neither NaN nor infinity ever leaves this file.
-"""
+"""Means of records of outcomes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from derail_ros.vocabulary.severity import severity
-
-if TYPE_CHECKING:
-    from derail_ros.engine.sample import Outcome
-
-Record = dict[str, Any]
-
-
-def number(value: float | None, digits: int | None = None) -> float | None:
-    """``value`` as a float, or None if it is not a finite number."""
-    if value is None:
-        return None
-    value = float(value)
-    if not math.isfinite(value):
-        return None
-    return value if digits is None else round(value, digits)
-
-
-def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
-    """One outcome as a record (see ``docs`` of ``derail simulate --json``)."""
-    pair = outcome.peak_force_pair
-    return {
-        "cars_derailed": int(outcome.cars_derailed),
-        "derailed_cars": [int(c) for c in outcome.derailed_cars],
-        "duration_s": number(outcome.duration),
-        "at_rest": outcome.status == "at rest",
-        "first_derailment_s": _first(outcome.derail_time),
-        "peak_force_N": number(outcome.peak_force),
-        "peak_force_pair": None if pair is None else [int(pair[0]), int(pair[1])],
-        "peak_force_time_s": number(outcome.peak_force_time),
-        "peak_resultant_N": number(outcome.peak_resultant),
-        "cars_above_5MN": [int(c) for c in outcome.cars_above_5MN],
-        "cars_above_10MN": [int(c) for c in outcome.cars_above_10MN],
-        "scene_length_m": number(outcome.scene_length),
-        "scene_width_m": number(outcome.scene_width),
-        "scene_area_m2": number(outcome.scene_area),
-        "severity": number(severity(outcome)),
-        "rear_stop_m": number(outcome.rear_stop),
-        "max_coupler_gap_m": number(outcome.max_coupler_gap),
-        "max_truck_offset_m": number(outcome.max_truck_offset),
-        "energy_initial_J": number(outcome.energy_initial),
-        "energy_J": {name: number(value) for name, value in outcome.energy.items()},
-        "energy_residual": number(outcome.energy_residual),
-        "void": bool(outcome.void),
-        "status": str(outcome.status),
-        "end_time_s": number(outcome.time),
-        "steps": int(outcome.steps),
-        "rejected_steps": int(outcome.rejected_steps),
-        "wall_s": number(wall_s, 6),
-    }
-
-
-def _first(times: Iterable[float]) -> float | None:
-    """The earliest of the times that exist, s."""
-    return min((float(t) for t in times if math.isfinite(t)), default=None)
-
-
-def failed_record(error: str, wall_s: float | None = None) -> Record:
-    """Record of a run that failed."""
-    return {"error": error, "status": "failed", "wall_s": number(wall_s, 6)}
-
-
-def counted(record: Mapping[str, Any]) -> bool:
-    """Whether a record counts in statistics: neither failed nor void."""
-    return "error" not in record and not record.get("void", False)
-
-
-def flatten(record: Mapping[str, Any]) -> dict[str, float]:
-    """The measures of a record that have a mean: ``energy_J.brakes`` for nested ones.
-
-    Lists of cars count by their length (``cars_above_5MN``); ``derailed_cars`` is left to
-    ``cars_derailed``.
-    """
-    flat: dict[str, float] = {}
-    for key, value in record.items():
-        if isinstance(value, bool) or value is None or key in ("derailed_cars", "peak_force_pair"):
-            continue
-        if isinstance(value, (int, float)):
-            flat[key] = float(value)
-        elif isinstance(value, list):
-            flat[key] = float(len(value))
-        elif isinstance(value, Mapping):
-            flat.update({f"{key}.{k}": float(v) for k, v in value.items() if v is not None})
-    return flat
+from derail_ros.vocabulary.measures import Record, record_numbers
 
 
 class Moments:
@@ -116,7 +29,7 @@ class Moments:
             self.void += 1
             return
         self.count += 1
-        for key, value in flatten(record).items():
+        for key, value in record_numbers(record).items():
             n = self._n.get(key, 0) + 1
             mean = self._mean.get(key, 0.0)
             delta = value - mean

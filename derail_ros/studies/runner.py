@@ -23,7 +23,7 @@ from derail_ros.studies.ensemble import Result, Run, compute, member_factor, run
 from derail_ros.studies.journal import Journal, JournalError, Results
 from derail_ros.studies.measures import FIELDS, MEASURES, TEXTS, Row, failed_row, row
 from derail_ros.studies.plan import Study
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     import pandas
@@ -167,9 +167,9 @@ def _row(result: Result) -> Row:
 
 def _identity(runs: str) -> str:
     """What the results depend on: the runs, and the physics that computes them."""
-    from derail_ros.engine.jit import source_hash
+    from derail_ros.models import engine_hash
 
-    return hashlib.sha256(f"{runs} {source_hash()} {VERSION}".encode()).hexdigest()
+    return hashlib.sha256(f"{runs} {engine_hash()} {VERSION}".encode()).hexdigest()
 
 
 SIZE = ("ensemble", "points", "seed")
@@ -208,9 +208,9 @@ def _prepare(folder: Path, identity: str, study: Study) -> dict[str, Any] | None
         raise StudyError(f"{folder}: is not empty; choose another folder or empty it")
     manifest = read_manifest(folder)
     if manifest["identity"] != identity:
-        from derail_ros.engine.jit import source_hash
+        from derail_ros.models import engine_hash
 
-        ours = manifest["software"].get("engine_hash") == source_hash()
+        ours = manifest["software"].get("engine_hash") == engine_hash()
         reason = _difference(manifest, study) if ours else "another version of the engine"
         raise StudyError(f"{folder}: holds results of {reason}; choose another folder")
     return manifest

@@ -36,7 +36,6 @@ from derail_ros.studies.ensemble import (
     ensemble_runs,
     run_many,
 )
-from derail_ros.studies.records import counted, failed_record, outcome_record
 from derail_ros.studies.validation import (
     Case,
     Goal,
@@ -46,6 +45,7 @@ from derail_ros.studies.validation import (
     goals,
     load_published,
 )
+from derail_ros.vocabulary.measures import counted, failed_record, outcome_record
 from derail_ros.vocabulary.params import (
     BrakeParams,
     Car,

@@ -12,7 +12,7 @@ from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.measures import MEASURES, shown
 from derail_ros.studies.plan import shown_value
-from derail_ros.vocabulary.counts import count
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.studies.results import StudyResults

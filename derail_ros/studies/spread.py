@@ -24,8 +24,8 @@ from derail_ros.studies.ensemble import (
     ensemble_runs,
     run_many,
 )
-from derail_ros.studies.records import counted, failed_record, outcome_record
 from derail_ros.studies.validation import Published
+from derail_ros.vocabulary.measures import counted, failed_record, outcome_record
 
 if TYPE_CHECKING:
     from derail_ros.vocabulary.params import TrainParams

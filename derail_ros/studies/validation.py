@@ -34,7 +34,7 @@ from derail_ros.studies.ensemble import (
     run_many,
 )
 from derail_ros.studies.impact import STANDING, STRIKING, Impact, impacts, words
-from derail_ros.studies.records import counted, failed_record, flatten, outcome_record
+from derail_ros.vocabulary.measures import counted, failed_record, outcome_record, record_numbers
 
 Loader = Callable[[str], ScenarioLike]
 
@@ -208,7 +208,7 @@ def spread(values: Sequence[float], published: float | None) -> Spread:
 def evaluate(case: Case, records: Sequence[Mapping[str, Any]]) -> CaseResult:
     """Compare the records of a case's ensemble with the published run."""
     good = [r for r in records if counted(r)]
-    flat = [flatten(r) for r in good]
+    flat = [record_numbers(r) for r in good]
     spreads = {}
     for name, key, _, factor in MEASURES:
         published = case.published.get(name)

@@ -1,14 +1,11 @@
-"""Errors of the engine.
-
-Everything the engine raises on purpose derives from :class:`DerailError`.
-"""
+"""Errors of engines: all that an engine raises on purpose derives from :class:`DerailError`."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from derail_ros.engine.simulation import Simulation
+    from derail_ros.vocabulary.simulation import Simulation
 
 
 class DerailError(Exception):

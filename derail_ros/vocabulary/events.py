@@ -1,9 +1,22 @@
-"""Events of a run: what happened, when, where, to which cars and why."""
+"""Events, collisions and commands of a run: what happened, when, where, to which cars and why.
+
+A dataclass here has the fields of the message of the same name, and a recording is read back into
+it: there is one shape of each.
+"""
 
 from __future__ import annotations
 
 import enum
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+from derail_ros.vocabulary.status import CORNERS
+from derail_ros.vocabulary.words import coordinate, force, speed
+
+LATER: Mapping[str, Any] = {"left_out_at_default": True}
+"""Metadata of a field that came after the format of saved states."""
 
 
 class EventKind(enum.IntEnum):
@@ -29,7 +42,7 @@ class Event:
     Attributes
     ----------
     kind : what happened
-    time : simulation time at which it happened, s
+    time : run time at which it happened, s
     step : number of accepted steps when it was recorded
     cars : car numbers (1 leads); a coupling is named by its two cars
     end : "front" or "rear" truck of ``cars[0]``, or ""
@@ -37,8 +50,11 @@ class Event:
     x, y : place, m (nan where there is none)
     track_coordinate : arc length along the track, m (nan where there is none)
     speed : speed of the first car's mass centre, m/s (nan where there is none)
-    value : the number behind the cause (quotient, angle in rad, force in N, ...)
-    before, after : state before and after, in words ("on rails" -> "derailed")
+    value : the number behind the cause, in :attr:`value_unit` (quotient, angle, place, ...)
+    before, after : state before and after, in words ("on the rails" -> "derailed")
+    z : height of the place, m
+    object : name of a fixed thing that takes part, "" for none
+    more : further numbers by name, unit in the name ("force_N")
     """
 
     kind: EventKind
@@ -54,6 +70,95 @@ class Event:
     value: float = float("nan")
     before: str = ""
     after: str = ""
+    z: float = field(default=0.0, metadata=LATER)
+    object: str = field(default="", metadata=LATER)
+    more: Mapping[str, float] = field(default_factory=dict, metadata=LATER)
+
+    @property
+    def value_unit(self) -> str:
+        """Unit of :attr:`value`; "1" for a quotient, "" where there is no value."""
+        if not math.isfinite(self.value):
+            return ""
+        if self.cause == "lateral force":
+            return "1"
+        if self.kind == EventKind.BRAKES_TRIGGERED and self.cause != "vented":
+            return ""
+        return _UNITS.get(self.kind, "")
+
+    @property
+    def text(self) -> str:
+        """The event in a line, without its time."""
+        return describe(self)
+
+
+_UNITS = {
+    EventKind.TRUCK_DERAILED: "m",
+    EventKind.COUPLER_PARTED: "rad",
+    EventKind.BRAKES_TRIGGERED: "m",
+    EventKind.BRAKE_SIGNAL_REACHED: "m",
+    EventKind.RUN_ENDED: "s",
+    EventKind.RUN_VOID: "m",
+}
+
+
+def describe(e: Event) -> str:
+    """An event in a line, without its time."""
+    car = f"car {e.cars[0]}" if e.cars else "the train"
+    place = coordinate(e.track_coordinate) if math.isfinite(e.track_coordinate) else ""
+    where = f" at {place} m" if place else ""
+    how_fast = f", at {speed(e.speed)}" if math.isfinite(e.speed) else ""
+    why = f" ({e.cause})" if e.cause else ""
+    if e.kind == EventKind.TRUCK_DERAILED:
+        truck = f"the {e.end} truck of {car}" if e.end else car
+        if e.cause == "initial":
+            return f"{truck} is off the rails from the start{how_fast}"
+        if e.cause == "rail break":
+            return f"{truck} derails at the rail break{where}{how_fast}"
+        if e.cause == "lateral force":
+            ratio = f": lateral force {e.value:.2f} times the load" * math.isfinite(e.value)
+            return f"{truck} is pushed off the rails{where}{how_fast}{ratio}"
+        return f"{truck} derails{why}{where}{how_fast}"
+    if e.kind == EventKind.COUPLER_PARTED and len(e.cars) > 1:
+        pair = f"cars {e.cars[0]} and {e.cars[1]}"
+        if e.cause == "initial":
+            return f"{pair} are uncoupled from the start"
+        if e.cause == "angle" and math.isfinite(e.value):
+            angle = f"{math.degrees(abs(e.value)):.0f}\N{DEGREE SIGN}"
+            return f"{pair} part: their couplers turned {angle} apart{how_fast}"
+        return f"{pair} part{why}{how_fast}"
+    if e.kind == EventKind.RAIL_BREAK_SET:
+        return f"{_BREAKS.get(e.cause, 'the rail breaks')}{where}"
+    if e.kind == EventKind.BRAKES_TRIGGERED:
+        if e.cause == "vented":
+            return "the brake pipe parts: emergency application from there"
+        return f"emergency brakes{': ' + e.cause if e.cause else ''}"
+    if e.kind == EventKind.BRAKE_SIGNAL_REACHED:
+        return f"the brake signal reaches {car}"
+    if e.kind == EventKind.CAR_AT_REST:
+        return f"{car} comes to rest"
+    if e.kind == EventKind.RUN_ENDED:
+        return _ENDINGS.get(e.cause, f"the run ends{why}")
+    if e.kind == EventKind.RUN_VOID:
+        return "the run is void: a body that stands for many cars reached the break"
+    words = _WORDS.get(e.kind, e.kind.name.lower().replace("_", " "))
+    return f"{words}: {e.cause}" if e.cause else words
+
+
+_BREAKS = {
+    "initial": "the rail is broken from the start",
+    "command": "the rail breaks, by command",
+    "lateral force": "the rail rolls over under the lateral force",
+}
+_ENDINGS = {
+    "at rest": "the run ends: all cars are at rest",
+    "time limit": "the run ends at its time limit",
+    "command": "the run ends by command",
+}
+_WORDS = {
+    EventKind.RUN_LOADED: "the run begins",
+    EventKind.RUN_RESET: "the run begins again",
+    EventKind.RUN_FAILED: "the computation failed",
+}
 
 
 @dataclass(frozen=True)
@@ -72,7 +177,7 @@ class Collision:
         which: 0 front left, 1 front right, 2 rear left, 3 rear right
     start, end : times at which the pair's force passed 10 kN and at which it had fallen
         below 5 kN for good, s (``end`` is nan while it goes on)
-    peak_corner_force : largest force at a single corner, N (the source's "peak force")
+    peak_force : largest force at a single corner, N, as in the source
     peak_time : when, s
     peak_resultant : largest resultant force between the two cars, N
     peak_resultant_time : when, s
@@ -81,6 +186,9 @@ class Collision:
     normal_x, normal_y : direction of the force on ``car_a`` at the peak
     angle : angle between the long axes of the two cars at the peak, rad, 0 to pi/2
     energy_lost : work that the contact has taken out of the two cars, J
+    z, normal_z : height of the place, m, and vertical part of the direction
+    object : name of the fixed thing that was struck in place of ``car_b`` (then 0), "" for a car
+    wall : wall of the other car that the corner struck, in words, "" where it is not known
     """
 
     id: int
@@ -91,7 +199,7 @@ class Collision:
     corner: int
     start: float
     end: float
-    peak_corner_force: float
+    peak_force: float
     peak_time: float
     peak_resultant: float
     peak_resultant_time: float
@@ -102,6 +210,32 @@ class Collision:
     normal_y: float
     angle: float
     energy_lost: float
+    z: float = 0.0
+    normal_z: float = 0.0
+    object: str = ""
+    wall: str = ""
+
+    @property
+    def other_car(self) -> int:
+        """The car that was touched by the corner of :attr:`corner_car`."""
+        return self.car_b if self.corner_car == self.car_a else self.car_a
+
+    @property
+    def touch(self) -> str:
+        """What touched what, in words."""
+        corner = CORNERS[self.corner] if 0 <= self.corner < len(CORNERS) else "a"
+        wall = f", {self.wall}" if self.wall else ""
+        return f"{corner} corner of car {self.corner_car} on car {self.other_car}{wall}"
+
+    @property
+    def text(self) -> str:
+        """The collision in a line, without its time."""
+        struck = self.object or f"car {self.car_b}"
+        return (
+            f"car {self.car_a} strikes {struck}: {force(self.peak_force)} at the {self.touch}, "
+            f"closing at {self.closing_speed:.1f} m/s, "
+            f"{math.degrees(self.angle):.0f}\N{DEGREE SIGN} between the cars"
+        )
 
 
 @dataclass(frozen=True)

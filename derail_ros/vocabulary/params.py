@@ -10,6 +10,10 @@ from dataclasses import dataclass, field
 
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
+PLANAR = "planar"
+"""Name of the default model."""
+METHODS = ("rkf45", "row")
+"""Methods of integration: the explicit reference, and the one with implicit friction."""
 
 
 @dataclass(frozen=True)
@@ -328,7 +332,7 @@ class VariantParams:
 
 @dataclass(frozen=True)
 class TrainParams:
-    """Everything a run is built from."""
+    """Everything a run is built from; ``model`` names the engine that computes it."""
 
     cars: tuple[Car, ...]
     initiation: InitiationParams
@@ -341,3 +345,4 @@ class TrainParams:
     variant: VariantParams = field(
         default_factory=VariantParams, metadata={"left_out_at_default": True}
     )
+    model: str = field(default=PLANAR, metadata={"left_out_at_default": True})

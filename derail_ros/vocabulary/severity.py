@@ -6,26 +6,18 @@ run is the base wherever none is named: in messages, records and reviews. Studie
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from derail_ros.vocabulary.outcome import Outcome
 
 BASE_CARS = 14
 BASE_PEAK_FORCE = 9.47e6
 BASE_AREA = 1721.0
 """Cars derailed, largest force (N) and scene (m^2) the source printed for that run."""
-
-
-class HasMeasures(Protocol):
-    """What severity needs of an outcome."""
-
-    @property
-    def cars_derailed(self) -> int: ...
-    @property
-    def peak_force(self) -> float: ...
-    @property
-    def scene_area(self) -> float: ...
 
 
 def severity_index(
@@ -61,26 +53,13 @@ def severity_index(
     return np.asarray((n / base_cars + f / base_peak_force + a / base_area) / 3.0)
 
 
-def severity(outcome: HasMeasures, base: HasMeasures | None = None) -> float:
+def severity(outcome: Outcome, base: Outcome | None = None) -> float:
     """Severity of one outcome, see :func:`severity_index`; without a base against the source's."""
-    if base is None:
-        return float(
-            severity_index(
-                outcome.cars_derailed,
-                outcome.peak_force,
-                outcome.scene_area,
-                BASE_CARS,
-                BASE_PEAK_FORCE,
-                BASE_AREA,
-            )
-        )
+    n0, f0, a0 = (
+        (BASE_CARS, BASE_PEAK_FORCE, BASE_AREA)
+        if base is None
+        else (base.cars_derailed, base.peak_force, base.scene_area)
+    )
     return float(
-        severity_index(
-            outcome.cars_derailed,
-            outcome.peak_force,
-            outcome.scene_area,
-            base.cars_derailed,
-            base.peak_force,
-            base.scene_area,
-        )
+        severity_index(outcome.cars_derailed, outcome.peak_force, outcome.scene_area, n0, f0, a0)
     )

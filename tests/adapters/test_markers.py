@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.scenario import load_scenario_by_name
 from msg_adapters import markers as M
 from msg_adapters import reports
@@ -39,7 +39,7 @@ def moments() -> list[tuple[object, np.ndarray, dict]]:
         for c in sim.new_collisions():
             for car in (c.car_a, c.car_b):
                 # Eightfold, so that this small train knows hard blows too.
-                peak[car - 1] = max(peak[car - 1], 8.0 * c.peak_corner_force)
+                peak[car - 1] = max(peak[car - 1], 8.0 * c.peak_force)
         data = encoder(sample, peak, reset=k == 0)
         out.append((sample, peak.copy(), decode(data)))
         if sim.ended:
@@ -125,7 +125,7 @@ def test_the_same_things_have_the_same_identities(moments: list) -> None:
 
 
 def test_the_track_is_drawn_with_its_breaks_and_clears_the_old_one() -> None:
-    sim = Simulation(load_scenario_by_name("curve_derailment").to_params())
+    sim = PlanarSimulation(load_scenario_by_name("curve_derailment").to_params())
     s = reports.track_coordinates(sim.track, sim.sample().truck_coordinate)
     breaks = [(0.5 * (sim.track.start + sim.track.end), 0.0)]
     track = reports.track(sim.track, s, breaks, CONTEXT)
@@ -155,7 +155,7 @@ def test_a_message_that_only_clears() -> None:
 
 
 def test_a_virtual_body_says_how_many_cars_it_stands_for() -> None:
-    sim = Simulation(load_scenario_by_name("mississauga_published").to_params())
+    sim = PlanarSimulation(load_scenario_by_name("mississauga_published").to_params())
     found = decode(M.MarkerEncoder(sim.params, CONTEXT)(sim.sample(), np.zeros(sim.n_cars)))
     assert found["labels", sim.n_cars].text == f"{sim.n_cars} (50 cars)"
 

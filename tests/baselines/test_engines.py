@@ -11,13 +11,7 @@ from derail_ros.baselines.models import MODELS, blank_record, free_speeds, run_m
 from derail_ros.baselines.page import power_law
 from derail_ros.baselines.train import ModelError
 from derail_ros.baselines.yang_manos import YangManosParams, configure, zigzag
-from derail_ros.engine import (
-    NonFiniteStateError,
-    Simulation,
-    SimulationError,
-    StepSizeError,
-    VariantParams,
-)
+from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.laws.coupling_spring import coupling_energy, coupling_force
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.joint import joint_energy, joint_moment, top_angle
@@ -26,7 +20,9 @@ from derail_ros.engine.laws.roll import roll_angle, roll_limit
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.accidents import load_statistics
 from derail_ros.studies.ensemble import member_factor, vary
-from derail_ros.studies.records import outcome_record
+from derail_ros.vocabulary.errors import NonFiniteStateError, SimulationError, StepSizeError
+from derail_ros.vocabulary.measures import outcome_record
+from derail_ros.vocabulary.params import VariantParams
 
 TAKEN = (
     "brakes",
@@ -310,7 +306,7 @@ def test_energy_rises_by_no_more_than_the_ledger_says(name):
         def ledger():
             return run.energy()
     else:
-        run = Simulation(configure(p) if name == "yang-manos" else p)
+        run = PlanarSimulation(configure(p) if name == "yang-manos" else p)
 
         def ledger():
             return run.outcome().energy
@@ -367,9 +363,12 @@ def test_null_is_what_a_model_does_not_know(name):
 def test_same_keys_from_every_model(name):
     p = params(speed=30.0, cars=12)
     record = run_model(name, p).record
-    keys = outcome_record(Simulation(p).outcome()).keys()
+    keys = outcome_record(PlanarSimulation(p).outcome()).keys()
     assert record.keys() == keys == blank_record().keys()
-    assert record["energy_J"].keys() == outcome_record(Simulation(p).outcome())["energy_J"].keys()
+    assert (
+        record["energy_J"].keys()
+        == outcome_record(PlanarSimulation(p).outcome())["energy_J"].keys()
+    )
     assert record["cars_derailed"] > 0
     assert record["wall_s"] > 0.0
 
@@ -390,7 +389,7 @@ def test_roll_estimate_of_the_main_model():
 
 
 def test_free_speeds_are_those_at_the_parting():
-    run = Simulation(params(speed=60.0, cars=25))
+    run = PlanarSimulation(params(speed=60.0, cars=25))
     speeds = free_speeds(run)
     assert run.ended
     free = np.flatnonzero(np.isfinite(speeds))
@@ -405,9 +404,9 @@ def test_unknown_model():
 
 
 def test_states_of_a_variant_go_on_to_the_bit():
-    run = Simulation(configure(params(speed=40.0, cars=8)))
+    run = PlanarSimulation(configure(params(speed=40.0, cars=8)))
     run.advance_to(3.0)
-    again = Simulation.from_bytes(run.to_bytes())
+    again = PlanarSimulation.from_bytes(run.to_bytes())
     assert again.params == run.params
     assert again.params.variant.whole_car
     run.advance_to(6.0)
@@ -416,6 +415,6 @@ def test_states_of_a_variant_go_on_to_the_bit():
 
 
 def test_states_without_a_variant_do_not_name_it():
-    run = Simulation(params(cars=3))
+    run = PlanarSimulation(params(cars=3))
     assert b'"variant"' not in run.to_bytes()
-    assert Simulation.from_bytes(run.to_bytes()).params.variant == VariantParams()
+    assert PlanarSimulation.from_bytes(run.to_bytes()).params.variant == VariantParams()

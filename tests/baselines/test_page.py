@@ -13,8 +13,8 @@ from derail_ros.commands.models import write_results
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.accidents import load_statistics
 from derail_ros.studies.ensemble import member_factor, vary
-from derail_ros.studies.records import failed_record
 from derail_ros.studies.validation import load_published
+from derail_ros.vocabulary.measures import failed_record
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"train.consist.0.count": 14}

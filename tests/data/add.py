@@ -12,9 +12,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from derail_ros.engine import Event, Simulation, SimulationError, TrainParams
+from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.serial import from_plain, unpack
-from derail_ros.vocabulary.events import Command
+from derail_ros.vocabulary.errors import SimulationError
+from derail_ros.vocabulary.events import Command, Event
+from derail_ros.vocabulary.params import TrainParams
 
 FOLDER = Path(__file__).parent
 
@@ -32,7 +34,7 @@ def expectation(path: Path) -> dict[str, Any]:
     return json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
 
 
-def next_event(run: Simulation) -> tuple[Event | None, str]:
+def next_event(run: PlanarSimulation) -> tuple[Event | None, str]:
     """Go on to the next event; with the name of the error if that is a failure."""
     until = run.time + HORIZON
     before = len(run.events)
@@ -65,7 +67,7 @@ def describe(event: Event | None, error: str) -> dict[str, Any]:
 
 def write(name: str, state: bytes, why: str) -> dict[str, Any]:
     """Write a state and what comes next."""
-    run = Simulation.from_bytes(state)
+    run = PlanarSimulation.from_bytes(state)
     told: dict[str, Any] = {
         "why": why,
         "saved_at_s": run.time,
@@ -81,7 +83,7 @@ def write(name: str, state: bytes, why: str) -> dict[str, Any]:
 def renew(path: Path) -> dict[str, Any]:
     """Make a state again from the parameters and commands it holds."""
     header, _ = unpack(path.read_bytes())
-    run = Simulation(from_plain(TrainParams, header["params"]))
+    run = PlanarSimulation(from_plain(TrainParams, header["params"]))
     told = expectation(path)
     for command in (from_plain(Command, c) for c in header["commands"]):
         run.advance_to(min(command.time, told["saved_at_s"]))

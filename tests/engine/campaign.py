@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from derail_ros.engine import CommandError, DerailError, ParameterError, Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.scenario import ScenarioError, loads_scenario
+from derail_ros.vocabulary.errors import CommandError, DerailError, ParameterError
 
 CARS = (
     "box_car", "tank_dot_103", "tank_dot_111", "tank_dot_105", "tank_dot_112", "open_top_hopper",
@@ -189,14 +190,14 @@ class Finding:
     derailed: int = 0
 
 
-def finite(run: Simulation) -> bool:
+def finite(run: PlanarSimulation) -> bool:
     """State and forces are finite."""
     s = run.sample()
     arrays = (s.q, s.v, s.a, s.rail_force, s.coupler_force, s.collision_force, s.energy)
     return all(bool(np.isfinite(a).all()) for a in arrays)
 
 
-def trouble(run: Simulation) -> str:
+def trouble(run: PlanarSimulation) -> str:
     """What is wrong with a run, "" if nothing is."""
     if not finite(run):
         return "not finite"
@@ -215,7 +216,7 @@ def attempt(number: int) -> Finding:
     began = time.perf_counter()
     try:
         params = loads_scenario(yaml.safe_dump(scenario(number))).to_params()
-        run = Simulation(params)
+        run = PlanarSimulation(params)
     except (ScenarioError, ParameterError) as error:
         return Finding(number, f"refused: {error}", b"", time.perf_counter() - began, 0.0)
     todo = commands(number, run.n_cars)

@@ -10,7 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from derail_ros.engine import (
+from derail_ros.engine import PlanarSimulation
+from derail_ros.engine import layout as L
+from derail_ros.engine.dynamics import project_positions, project_velocities
+from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.neighbours import rebuild
+from derail_ros.vocabulary.params import (
     BrakeParams,
     BrakeUnit,
     Car,
@@ -18,15 +23,10 @@ from derail_ros.engine import (
     CouplerType,
     GroundParams,
     InitiationParams,
-    Simulation,
     TrackParams,
     TrackSegment,
     TrainParams,
 )
-from derail_ros.engine import layout as L
-from derail_ros.engine.dynamics import project_positions, project_velocities
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
-from derail_ros.engine.neighbours import rebuild
 
 # The source's coupler table: d_C, d_st, d_so (m), k1 (N/m).
 COUPLERS = {
@@ -199,7 +199,7 @@ def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
 
 def start(params, q=None, v=None, **constraints):
     """A run from a given state."""
-    return place(Simulation(params), q, v, **constraints)
+    return place(PlanarSimulation(params), q, v, **constraints)
 
 
 def project(run):
@@ -219,7 +219,7 @@ def propose(run, h):
 def kicked(params, seed, angle=0.02, rate=0.2):
     """A run from a random state that meets its constraints."""
     rng = np.random.default_rng(seed)
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     home = run.sample()
     q = home.q + rng.normal(0.0, angle, home.q.shape)
     v = home.v + rng.normal(0.0, rate, home.v.shape)

@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from derail_ros.engine import Simulation, SimulationError
+from derail_ros.engine import PlanarSimulation
+from derail_ros.vocabulary.errors import SimulationError
 from tests.data import add
 from tests.engine.campaign import attempt, scenario, trouble
 
@@ -16,7 +17,7 @@ AFTER = 2.0
 @pytest.mark.parametrize("path", add.saved_states(), ids=lambda path: path.stem)
 def test_what_comes_next(path):
     expected = add.expectation(path)["next"]
-    run = Simulation.from_bytes(path.read_bytes())
+    run = PlanarSimulation.from_bytes(path.read_bytes())
     event, error = add.next_event(run)
     found = add.describe(event, error)
     for key in ("time_s", "track_coordinate_m"):
@@ -26,7 +27,7 @@ def test_what_comes_next(path):
         # it stopped with a typed error at its last good state
         stopped = run.sample()
         assert np.isfinite(stopped.q).all() and np.isfinite(stopped.v).all()
-        assert Simulation.from_bytes(run.to_bytes()).time == run.time
+        assert PlanarSimulation.from_bytes(run.to_bytes()).time == run.time
         with pytest.raises(SimulationError):
             run.advance_steps(1)
         return

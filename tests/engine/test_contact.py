@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from derail_ros.engine import ContactParams
+from derail_ros.vocabulary.params import ContactParams
 from tests.engine.reference import corner_list, touching
 from tests.engine.support import (
     free_train,
@@ -434,7 +434,7 @@ def test_a_collision_as_an_event():
     below = np.flatnonzero((resultant < 5e3) & (t > c.peak_time))[0]
     assert c.end == t[below]
     # the peak lies between two steps
-    assert corner.max() <= c.peak_corner_force < 1.001 * corner.max()
+    assert corner.max() <= c.peak_force < 1.001 * corner.max()
     assert c.peak_time == pytest.approx(t[corner.argmax()], abs=1e-3)
     assert resultant.max() <= c.peak_resultant < 1.001 * resultant.max()
     assert c.closing_speed == pytest.approx(6.0, abs=0.02)
@@ -442,7 +442,7 @@ def test_a_collision_as_an_event():
     # the force on the striking car points back
     assert (c.normal_x, c.normal_y) == pytest.approx((-1.0, 0.0), abs=0.05)
     outcome = run.outcome()
-    assert outcome.peak_force == c.peak_corner_force
+    assert outcome.peak_force == c.peak_force
     assert outcome.peak_force_pair == (2, 1)
     assert outcome.car_peak_other.tolist() == [2, 1]
     # what the contact took out is what the bodies lost

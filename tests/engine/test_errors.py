@@ -9,25 +9,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from derail_ros.engine import (
-    BrakeParams,
-    BrakeTrigger,
-    BrakeUnit,
+from derail_ros.engine import PlanarSimulation, serial
+from derail_ros.vocabulary.errors import (
     CommandError,
     DerailError,
-    EventKind,
-    IntegrationParams,
-    LateralForce,
     NonFiniteStateError,
     ParameterError,
-    Simulation,
     SimulationError,
     StateFormatError,
     StepSizeError,
     TrackEndError,
+)
+from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.params import (
+    BrakeParams,
+    BrakeTrigger,
+    BrakeUnit,
+    IntegrationParams,
+    LateralForce,
     TrackParams,
     TrackSegment,
-    serial,
 )
 from tests.engine.support import free_train, make_car, make_train, start, with_integration
 
@@ -68,7 +69,7 @@ def numbers(value, path=""):
 def refuse(path, value, field=None):
     """The parameters with that value are refused, and the error names the field."""
     with pytest.raises(ParameterError) as caught:
-        Simulation(changed(BASE, path, value))
+        PlanarSimulation(changed(BASE, path, value))
     assert caught.value.field == (path if field is None else field)
     assert str(caught.value).startswith(f"{caught.value.field}: ")
     assert len(caught.value.reason) > 5
@@ -77,7 +78,7 @@ def refuse(path, value, field=None):
 
 
 def test_the_base_is_good():
-    assert Simulation(BASE).run().final
+    assert PlanarSimulation(BASE).run().final
 
 
 # the place and direction of the line are checked where they are used
@@ -210,7 +211,7 @@ def test_a_virtual_body_cannot_start_derailed():
     params = changed(BASE, "cars.2.represents", 5)
     params = changed(params, "initiation.derailed_trucks", ((3, "rear"),))
     with pytest.raises(ParameterError) as caught:
-        Simulation(params)
+        PlanarSimulation(params)
     assert caught.value.field == "initiation.derailed_trucks.0"
 
 
@@ -238,7 +239,7 @@ def test_a_virtual_body_cannot_start_derailed():
 )
 def test_bad_rail_breaks(arguments, field):
     params = changed(BASE, "initiation.derailed_trucks", ((3, "front"),))
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     run.advance_to(0.3)
     before = run.state_hash(), run.events, run.commands
     with pytest.raises(CommandError) as caught:
@@ -248,7 +249,7 @@ def test_bad_rail_breaks(arguments, field):
 
 
 def test_a_break_far_from_the_endless_straight_is_refused():
-    run = Simulation(make_train(2))
+    run = PlanarSimulation(make_train(2))
     with pytest.raises(CommandError, match="coordinate"):
         run.inject_rail_break(1.1e6)
     assert run.inject_rail_break(-0.9e6) == -0.9e6
@@ -273,7 +274,7 @@ def test_a_break_far_from_the_endless_straight_is_refused():
     ],
 )
 def test_bad_brake_commands(arguments, field):
-    run = Simulation(BASE)
+    run = PlanarSimulation(BASE)
     run.advance_to(0.3)
     before = run.state_hash(), run.events, run.commands
     with pytest.raises(CommandError) as caught:
@@ -281,14 +282,14 @@ def test_bad_brake_commands(arguments, field):
     assert caught.value.field == field
     assert (run.state_hash(), run.events, run.commands) == before
     # and the run goes on as if nothing had been said
-    other = Simulation(BASE)
+    other = PlanarSimulation(BASE)
     other.advance_to(0.5)
     run.advance_to(0.5)
     assert run.state_hash() == other.state_hash()
 
 
 def test_no_commands_after_the_end():
-    run = Simulation(with_integration(BASE, time_limit=0.1))
+    run = PlanarSimulation(with_integration(BASE, time_limit=0.1))
     run.run()
     for command in (lambda: run.inject_rail_break(3.0), run.trigger_emergency_brake):
         with pytest.raises(CommandError) as caught:
@@ -298,7 +299,7 @@ def test_no_commands_after_the_end():
 
 def test_time_must_be_a_number():
     with pytest.raises(CommandError):
-        Simulation(BASE).advance_to(math.nan)
+        PlanarSimulation(BASE).advance_to(math.nan)
 
 
 # Runs that cannot go on ------------------------------------------------------------------------
@@ -306,7 +307,7 @@ def test_time_must_be_a_number():
 
 def failing(params, error):
     """A run that fails as it should; returns it, after checking what it left."""
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     heard = []
     with pytest.raises(error) as caught:
         while not run.ended:
@@ -330,7 +331,7 @@ def failing(params, error):
     assert np.isfinite(sample.q).all()
     assert np.isfinite(sample.v).all()
     assert sample.time == run.time
-    loaded = Simulation.from_bytes(run.to_bytes())
+    loaded = PlanarSimulation.from_bytes(run.to_bytes())
     assert loaded.state_hash() == run.state_hash()
     assert loaded.status == "failed"
     assert np.array_equal(loaded.sample().q, sample.q)
@@ -349,7 +350,7 @@ def test_the_end_of_the_line():
 
 def test_the_beginning_of_the_line():
     params = make_train(2, speed=0.0, track=BASE.track, position=-220.0)
-    home = Simulation(params).sample()
+    home = PlanarSimulation(params).sample()
     v = np.zeros((2, 5))
     v[:, 0] = -10.0
     run = start(params, v=v)
@@ -399,7 +400,7 @@ def test_a_share_of_the_buffer_that_would_miss_pairs():
         params = free_train(2, parted=(1,), speed=0.0)
         run = start(with_integration(params, buffer_fraction=share), q, v)
         run.advance_to(1.5)
-        return run.collisions[0].peak_corner_force
+        return run.collisions[0].peak_force
 
     exact = peak(0.2)
     for share in (1.0, 3.0, 10.0):
@@ -414,7 +415,7 @@ def test_a_share_of_the_buffer_that_would_miss_pairs():
 
 def saved():
     """A run in the middle of things, as bytes."""
-    run = Simulation(BASE)
+    run = PlanarSimulation(BASE)
     run.advance_to(0.6)
     run.inject_rail_break(car=2)
     run.trigger_emergency_brake()
@@ -427,12 +428,12 @@ DATA = saved()
 
 def refuses(data):
     with pytest.raises(StateFormatError):
-        Simulation.from_bytes(data)
+        PlanarSimulation.from_bytes(data)
 
 
 def test_the_saved_state_is_good():
-    assert Simulation.from_bytes(DATA).to_bytes() == DATA
-    assert Simulation.from_bytes(bytearray(DATA)).to_bytes() == DATA
+    assert PlanarSimulation.from_bytes(DATA).to_bytes() == DATA
+    assert PlanarSimulation.from_bytes(bytearray(DATA)).to_bytes() == DATA
 
 
 @settings(deadline=None, max_examples=300, derandomize=True)
@@ -467,7 +468,7 @@ def test_another_version(monkeypatch):
     other = saved()
     monkeypatch.undo()
     with pytest.raises(StateFormatError, match="version"):
-        Simulation.from_bytes(other)
+        PlanarSimulation.from_bytes(other)
 
 
 def test_a_whole_file_with_the_wrong_contents():
@@ -501,8 +502,8 @@ def test_parameters_survive_saving():
         cars=(*BASE.cars[:2], replace(BASE.cars[2], represents=2, contents="grain",
                                       brakes=(BrakeUnit(1.0), BrakeUnit(2.0, "cast_iron")))),
     )  # fmt: skip
-    run = Simulation(params)
-    loaded = Simulation.from_bytes(run.to_bytes())
+    run = PlanarSimulation(params)
+    loaded = PlanarSimulation.from_bytes(run.to_bytes())
     assert loaded.params == params
     assert isinstance(loaded.params.cars, tuple)
     assert isinstance(loaded.params.initiation.derailed_trucks, tuple)

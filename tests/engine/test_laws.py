@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from derail_ros.engine import ContactParams, DerailmentParams, GroundParams
 from derail_ros.engine.laws.brake import (
     cast_iron_factor,
     composition_factor,
@@ -27,6 +26,7 @@ from derail_ros.engine.laws.knuckle import (
     polynomial_root,
 )
 from derail_ros.engine.laws.striker import spring_energy, spring_force
+from derail_ros.vocabulary.params import ContactParams, DerailmentParams, GroundParams
 
 settings.register_profile("laws", deadline=None, max_examples=200, derandomize=True)
 COUNTED = settings.get_profile("laws")

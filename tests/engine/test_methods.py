@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from derail_ros.engine import METHODS, GroundParams, LateralForce, Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.laws.ground import drag_slopes
-from derail_ros.engine.methods import stability_bound
+from derail_ros.engine.methods import METHODS, stability_bound
 from derail_ros.scenario import load_scenario_by_name
 from derail_ros.studies.ensemble import Run, run_many
+from derail_ros.vocabulary.params import GroundParams, LateralForce
 from tests.engine.support import (
     NO_CONTACT,
     fixed_steps,
@@ -85,7 +86,7 @@ def test_an_explicit_step_is_no_longer_than_it_is_stable(speed):
     params = make_train(
         1, speed=0.0, derailed=((1, "front"), (1, "rear")), triggers=(), lateral=()
     )
-    run = Simulation(with_integration(params, method="rkf45", rtol=1e-1, rest_hold=20.0))
+    run = PlanarSimulation(with_integration(params, method="rkf45", rtol=1e-1, rest_hold=20.0))
     v = np.zeros((1, 5))
     v[0, 1] = speed
     place(run, run.sample().q, v)
@@ -149,7 +150,7 @@ def test_resting_cars_take_long_steps():
     scenario = load_scenario_by_name("base_train").to_params()
     counts = {}
     for method, rtol in (("rkf45", 1e-4), ("row", 1e-3)):
-        run = Simulation(with_integration(scenario, method=method, rtol=rtol))
+        run = PlanarSimulation(with_integration(scenario, method=method, rtol=rtol))
         run.run()
         counts[method] = run.statistics
     assert counts["row"]["evaluations"] < 0.6 * counts["rkf45"]["evaluations"]
@@ -159,11 +160,11 @@ def test_resting_cars_take_long_steps():
 @pytest.mark.parametrize("name", ["base_train", "mississauga_published"])
 def test_default_agrees_with_the_reference_up_to_the_first_contact(name):
     params = load_scenario_by_name(name).to_params()
-    default = Simulation(params)
+    default = PlanarSimulation(params)
     while not default.collisions:
         default.advance_steps(1)
     until = default.collisions[0].start
-    run, exact = Simulation(params), Simulation(tight(params, 1e-9, method="rkf45"))
+    run, exact = PlanarSimulation(params), PlanarSimulation(tight(params, 1e-9, method="rkf45"))
     for s in (run, exact):
         s.advance_to(until)
     got, want = run.sample(until), exact.sample(until)
@@ -178,8 +179,10 @@ def test_default_follows_the_reference_through_contacts():
     # go over them are ten times as far off, whatever the tolerance
     params = load_scenario_by_name("mississauga_published").to_params()
     run, exact = (
-        Simulation(params),
-        Simulation(with_integration(params, method="rkf45", rtol=1e-9, buffer_fraction=0.02)),
+        PlanarSimulation(params),
+        PlanarSimulation(
+            with_integration(params, method="rkf45", rtol=1e-9, buffer_fraction=0.02)
+        ),
     )
     for until, off in ((2.5, 1e-4), (4.5, 4e-3), (7.0, 1e-2)):
         for s in (run, exact):

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from derail_ros.engine import METHODS, ContactParams, Simulation
+from derail_ros.engine import PlanarSimulation
+from derail_ros.engine.methods import METHODS
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.impact import impacts
+from derail_ros.vocabulary.params import ContactParams
 from tests.engine.support import make_car, make_train, start, steps_of, tight, with_integration
 
 # Impact tests ----------------------------------------------------------------------------------
@@ -20,7 +22,7 @@ def impact(kmh):
     """A car of 158 t runs into three standing cars of 327 t, all on rails, nothing braked."""
     cars = (*(make_car(i, mass=STANDING / 3) for i in range(3)), make_car(3, mass=STRIKER))
     params = tight(make_train(cars, speed=0.0, parted=(3,)), 1e-8, max_step=1e-3)
-    home = Simulation(params).sample().q
+    home = PlanarSimulation(params).sample().q
     home[3, 0] -= 1.0
     v = np.zeros((4, 5))
     v[3, 0] = kmh / 3.6
@@ -106,7 +108,7 @@ def test_faster_impacts_are_harder():
 def test_the_base_train(method):
     # published: 14 cars, 21.4 s, 9.5 MN, 65.8 m x 26.2 m
     params = load_scenario("base_train").to_params()
-    run = Simulation(with_integration(params, method=method))
+    run = PlanarSimulation(with_integration(params, method=method))
     outcome = run.run()
     assert outcome.status == "at rest"
     assert abs(outcome.cars_derailed - 14) <= 1
@@ -126,7 +128,7 @@ def test_the_base_train(method):
 def test_the_validation_run():
     # published: 24 cars of 24, 25.3 s, 23.1 MN, 109 m x 41.7 m
     params = load_scenario("mississauga_published").to_params()
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     outcome = run.run()
     assert outcome.status in ("at rest", "void")
     assert 19 <= outcome.cars_derailed <= 24
@@ -145,13 +147,13 @@ def test_the_validation_run():
     # every car above 10 MN is above 5 MN
     assert set(outcome.cars_above_10MN) <= set(outcome.cars_above_5MN)
     assert outcome.peak_force == outcome.car_peak_force.max()
-    top = max(run.collisions, key=lambda c: c.peak_corner_force)
+    top = max(run.collisions, key=lambda c: c.peak_force)
     assert outcome.peak_force_pair == (top.car_a, top.car_b)
     assert outcome.peak_force_time == top.peak_time
 
 
 def test_the_curve():
-    outcome = Simulation(load_scenario("curve_derailment").to_params()).run()
+    outcome = PlanarSimulation(load_scenario("curve_derailment").to_params()).run()
     assert outcome.status == "at rest"
     assert 5 < outcome.cars_derailed < 40
     assert outcome.energy_residual < 1e-3
@@ -171,7 +173,7 @@ def test_ensembles_of_the_base_train_agree_between_methods():
                 **{**vars(params.initiation), "lateral_forces": (push,)}
             )
             params = type(params)(**{**vars(params), "initiation": initiation})
-            outcome = Simulation(params).run()
+            outcome = PlanarSimulation(params).run()
             rows.append((outcome.cars_derailed, outcome.duration))
         counts[method], durations[method] = np.mean(rows, axis=0)
         assert abs(counts[method] - 14) < 1.0

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from derail_ros.engine import (
+from derail_ros.engine import PlanarSimulation
+from derail_ros.vocabulary.params import (
     BrakeParams,
     BrakeTrigger,
     LateralForce,
-    Simulation,
     TrackParams,
     TrackSegment,
 )
@@ -43,7 +43,7 @@ TRACKS = {
 
 def random_state(params, rng, angle=0.08, rate=0.5):
     """A run in a state away from its constraints, with some of them removed."""
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     n = run.n_cars
     home = run.sample()
     q = home.q + rng.normal(0.0, angle, (n, 5))
@@ -83,7 +83,7 @@ def test_dense_solve_on_random_states(name):
 def test_dense_solve_of_every_pattern_of_removed_constraints():
     # three cars: 6 trucks and 2 couplings
     params = make_train(mixed_cars(3))
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     rng = np.random.default_rng(3)
     home = run.sample()
     for pattern in range(2**8):
@@ -106,7 +106,7 @@ def test_dense_solve_with_large_angles():
 
 def test_dense_solve_of_a_long_train():
     params = make_train(mixed_cars(40), track=CURVE, position=700.0)
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     q, v = run.sample().q, run.sample().v
     assert compare(run, Reference(params), q, v) < 1e-9
 
@@ -202,7 +202,7 @@ def test_newtons_law_of_the_whole_train(n):
 def test_projection_moves_as_little_as_the_masses_allow():
     # one heavy and one light car, coupled, pulled apart by 0.1 m: the common centre stays
     cars = (make_car(0, mass=90e3), make_car(1, mass=30e3))
-    run = Simulation(free_train(cars, speed=0.0))
+    run = PlanarSimulation(free_train(cars, speed=0.0))
     q = run.sample().q.copy()
     q[0, 0] += 0.1
     run = place(run, q)

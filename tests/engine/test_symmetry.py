@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from derail_ros.engine import (
-    METHODS,
+from derail_ros.engine import PlanarSimulation
+from derail_ros.engine.methods import METHODS
+from derail_ros.vocabulary.params import (
     BrakeTrigger,
     BrakeUnit,
     LateralForce,
-    Simulation,
     TrackParams,
     TrackSegment,
 )
@@ -39,7 +39,7 @@ def train(
 
 def first_contact(params):
     """Time at which the first contact begins."""
-    run = Simulation(params)
+    run = PlanarSimulation(params)
     while not run.collisions and not run.ended:
         run.advance_to(run.time + 0.1)
     return run.collisions[0].start
@@ -64,7 +64,10 @@ MIRROR = np.array([1.0, -1.0, -1.0, -1.0, -1.0])
 def test_mirror_image(method):
     until = first_contact(train(method=method))
     assert until > 2.0
-    left, right = Simulation(train(method=method)), Simulation(train(-50e3, method=method))
+    left, right = (
+        PlanarSimulation(train(method=method)),
+        PlanarSimulation(train(-50e3, method=method)),
+    )
     times = np.linspace(0.1, until, 12)
     assert compare(left, right, times, lambda q, v: (q * MIRROR, v * MIRROR)) < 1e-8
     assert np.abs(left.sample().q[0, 1:3]).max() > 0.5
@@ -90,7 +93,10 @@ def test_mirror_image_on_a_curve(method):
     until = min(first_contact(left), 3.0)
     times = np.linspace(0.1, until, 8)
     worst = compare(
-        Simulation(left), Simulation(right), times, lambda q, v: (q * MIRROR, v * MIRROR)
+        PlanarSimulation(left),
+        PlanarSimulation(right),
+        times,
+        lambda q, v: (q * MIRROR, v * MIRROR),
     )
     assert worst < 1e-8
 
@@ -106,7 +112,7 @@ def test_shift_along_the_track(shift):
         return q, v
 
     times = np.linspace(0.1, until, 12)
-    assert compare(Simulation(train()), Simulation(moved), times, back) < 1e-8
+    assert compare(PlanarSimulation(train()), PlanarSimulation(moved), times, back) < 1e-8
 
 
 def test_a_straight_of_the_alignment_is_the_endless_straight():
@@ -126,8 +132,8 @@ def test_a_straight_of_the_alignment_is_the_endless_straight():
         return q, v
 
     times = np.linspace(0.1, until, 12)
-    turned = Simulation(train(track=track))
-    assert compare(Simulation(train()), turned, times, back) < 1e-8
+    turned = PlanarSimulation(train(track=track))
+    assert compare(PlanarSimulation(train()), turned, times, back) < 1e-8
 
 
 # Virtual cars ----------------------------------------------------------------------------------
@@ -155,7 +161,10 @@ def test_virtual_cars_before_the_first_contact():
     # car in front of it is struck.
     n, kept = 20, 10
     until = first_contact(train(n=n))
-    whole, lumped = Simulation(train(n=n)), Simulation(train(cars=with_virtual_rear(n, kept)))
+    whole, lumped = (
+        PlanarSimulation(train(n=n)),
+        PlanarSimulation(train(cars=with_virtual_rear(n, kept))),
+    )
     worst = 0.0
     for t in np.linspace(0.2, until, 10):
         whole.advance_to(t)
@@ -177,7 +186,7 @@ def test_virtual_brakes_arrive_at_their_own_cars():
         brakes=tuple(BrakeUnit(distance=d, weight=68e3) for d in (290.0, 580.0, 870.0)),
     )
     params = make_train((make_car(0), rear), triggers=(BrakeTrigger(),))
-    run = Simulation(with_integration(params, max_step=0.01))
+    run = PlanarSimulation(with_integration(params, max_step=0.01))
     run.advance_to(2.5)
     s = run.sample(2.5)
     v = s.v[1, 0]
@@ -193,13 +202,13 @@ def test_virtual_brakes_arrive_at_their_own_cars():
 @pytest.mark.parametrize("method", METHODS)
 def test_tighter_tolerances_agree(method):
     until = first_contact(train())
-    exact = Simulation(train(rtol=1e-11))
+    exact = PlanarSimulation(train(rtol=1e-11))
     exact.advance_to(until)
     want = exact.sample(until)
     errors = []
     # below 1e-9 or so what is left is where crossings are located, 1e-7 m
     for rtol in (1e-4, 1e-7, 1e-10):
-        run = Simulation(train(rtol=rtol, method=method))
+        run = PlanarSimulation(train(rtol=rtol, method=method))
         run.advance_to(until)
         errors.append(np.abs(run.sample(until).q - want.q).max())
     # at the default the cap on a corner's way, not the tolerance, sets most of rkf45's steps
@@ -210,12 +219,12 @@ def test_tighter_tolerances_agree(method):
 
 def test_a_tight_pair_agrees_to_1e_8():
     until = first_contact(train())
-    a, b = (Simulation(train(rtol=rtol)) for rtol in (1e-11, 1e-12))
+    a, b = (PlanarSimulation(train(rtol=rtol)) for rtol in (1e-11, 1e-12))
     assert compare(a, b, [0.5 * until, until], lambda q, v: (q, v)) < 1e-8
 
 
 def test_baumgarte_agrees_with_projection():
     until = first_contact(train())
-    a = Simulation(train(rtol=1e-9))
-    b = Simulation(train(rtol=1e-9, stabilization="baumgarte"))
+    a = PlanarSimulation(train(rtol=1e-9))
+    b = PlanarSimulation(train(rtol=1e-9, stabilization="baumgarte"))
     assert compare(a, b, [0.5 * until, until], lambda q, v: (q, v)) < 1e-5

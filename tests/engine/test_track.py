@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from derail_ros.engine import Track, TrackParams, TrackSegment
+from derail_ros.engine import Track
+from derail_ros.vocabulary.params import TrackParams, TrackSegment
 from tests.engine.reference import Line
 from tests.engine.support import CURVE
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.recording.session import Prepared, prepare
 from derail_ros.scenario import Scenario, loads_scenario
 
@@ -61,6 +61,6 @@ def ready(text: str = SMALL, name: str = "small") -> Prepared:
     return prepare(small(text, name))
 
 
-def simulation(text: str = SMALL) -> Simulation:
+def simulation(text: str = SMALL) -> PlanarSimulation:
     """A simulation at its start."""
-    return Simulation(small(text).to_params())
+    return PlanarSimulation(small(text).to_params())

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.nodes import core
 from derail_ros.nodes.core import Answer, Level, Settings, SimulatorCore, State
 from derail_ros.recording import RecordingError, read_manifest
@@ -172,7 +172,7 @@ def test_work_says_when_it_is_needed_again() -> None:
 
 @pytest.mark.parametrize("rates", [(50.0, 1.0), (10.0, 0.0), (333.0, 7.0)])
 def test_neither_rate_nor_speed_changes_what_is_computed(rates) -> None:
-    bare = Simulation(small().to_params())
+    bare = PlanarSimulation(small().to_params())
     bare.run()
     bench = Bench(state_rate=rates[0], speed_factor=rates[1])
     bench.load()
@@ -730,9 +730,9 @@ def test_sequences_have_no_gaps(bench: Bench) -> None:
 
 def test_scenario_and_command_log_repeat_the_run_to_the_bit(tmp_path) -> None:
     """What the node published is enough to compute the same run again."""
-    from derail_ros.engine import Command
     from derail_ros.nodes.core import BRAKE_MODES, BRAKE_SOURCES
     from derail_ros.scenario import loads_scenario
+    from derail_ros.vocabulary.events import Command
 
     bench = Bench(speed_factor=0.0, record=str(tmp_path / "bag"))
     bench.load(ENDLESS, paused=True)
@@ -747,7 +747,9 @@ def test_scenario_and_command_log_repeat_the_run_to_the_bit(tmp_path) -> None:
     events = [e for e in bench.heard.of("events") if e.kind_name != "run_loaded"]
     bench.core.close()
 
-    again = Simulation(loads_scenario(bench.heard.of("consist")[0].scenario_yaml).to_params())
+    again = PlanarSimulation(
+        loads_scenario(bench.heard.of("consist")[0].scenario_yaml).to_params()
+    )
     for entry in bench.heard.of("command_log"):
         request = json.loads(entry.request_json)
         if not entry.accepted or entry.command not in (
@@ -772,7 +774,7 @@ def test_scenario_and_command_log_repeat_the_run_to_the_bit(tmp_path) -> None:
     ]
 
     run = read_manifest(tmp_path / "bag").run
-    third = Simulation(small(ENDLESS).to_params())
+    third = PlanarSimulation(small(ENDLESS).to_params())
     for command in run.commands:
         third.apply(Command(**command))
     third.run()
@@ -798,7 +800,7 @@ def test_a_failure_pauses_tells_and_keeps_the_state(tmp_path) -> None:
     (status,) = bench.heard.last("/diagnostics").status
     assert status.level == 2 and "TrackEndError" in status.message
     (file,) = (tmp_path / "state").iterdir()
-    saved = Simulation.from_bytes(file.read_bytes())
+    saved = PlanarSimulation.from_bytes(file.read_bytes())
     assert saved.time == core.session.simulation.time
     answer = core.set_state(State.PLAYING)
     assert not answer.success and "failed" in answer.message
@@ -833,7 +835,7 @@ def test_the_node_records_what_a_run_without_it_records(tmp_path) -> None:
     while not bench.core.finished:
         bench.core.work()
     bench.core.close()
-    record_run(Simulation(small().to_params()), small(), tmp_path / "run")
+    record_run(PlanarSimulation(small().to_params()), small(), tmp_path / "run")
 
     def content(path: Path) -> list[tuple[str, int, bytes]]:
         (run,) = read_manifest(path).runs

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from derail_ros.cli import main
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.nodes.core import Settings, SimulatorCore
 from derail_ros.recording import read_manifest, record_run
 from derail_ros.recording.recomputation import needed, told_by
@@ -209,7 +209,7 @@ def test_a_recording_without_a_manifest(tmp_path, capsys) -> None:
 
 def test_a_recording_is_taken_as_by_all_commands(tmp_path, capsys) -> None:
     """Its folder, a file of it, a folder with one in it; or its manifest."""
-    record_run(Simulation(small().to_params()), small(), tmp_path / "out" / "recording")
+    record_run(PlanarSimulation(small().to_params()), small(), tmp_path / "out" / "recording")
     (tmp_path / "out" / "manifest.json").write_text('{"format": "derail_ros/results"}')
     bag = tmp_path / "out" / "recording"
     for place in (bag, bag.parent, next(bag.glob("*.mcap")), bag / "manifest.json"):
@@ -241,7 +241,7 @@ def test_what_is_no_manifest_is_one_line(tmp_path, capsys) -> None:
 
 
 def test_a_run_without_ros(tmp_path, capsys) -> None:
-    simulation = Simulation(small().to_params())
+    simulation = PlanarSimulation(small().to_params())
     simulation.trigger_emergency_brake(mode="instant")
     record_run(simulation, small(), tmp_path / "bag")
     assert replay(tmp_path / "bag", capsys)[1]["same"]

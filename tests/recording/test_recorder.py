@@ -22,7 +22,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from derail_ros.engine import Simulation, SimulationError
+from derail_ros.engine import PlanarSimulation
 from derail_ros.recording import (
     Manifest,
     RecordingError,
@@ -33,6 +33,7 @@ from derail_ros.recording import (
 from derail_ros.recording.manifest import CUSTOM_DATA
 from derail_ros.recording.recorder import absolute, recorded_topics
 from derail_ros.scenario import loads_scenario
+from derail_ros.vocabulary.errors import SimulationError
 from msg_adapters import reports
 from msg_adapters.common import stamp_of
 from msg_adapters.definitions import deserialize, serialize
@@ -52,10 +53,10 @@ def read(bag: Path) -> dict[str, list[tuple[int, object]]]:
 
 
 @pytest.fixture(scope="module", params=["mcap", "sqlite3"])
-def recorded(request, tmp_path_factory) -> tuple[Path, Manifest, Simulation]:
+def recorded(request, tmp_path_factory) -> tuple[Path, Manifest, PlanarSimulation]:
     """A small run recorded from beginning to end."""
     scenario = small()
-    simulation = Simulation(scenario.to_params())
+    simulation = PlanarSimulation(scenario.to_params())
     path = tmp_path_factory.mktemp(request.param) / "bag"
     calls: list[float] = []
     manifest = record_run(
@@ -152,11 +153,11 @@ def test_the_manifest_is_beside_and_inside(recorded) -> None:
 
 def test_the_manifest_repeats_the_run_to_the_bit(recorded) -> None:
     path, manifest, _ = recorded
-    again = Simulation(loads_scenario(yaml.safe_dump(manifest.run.scenario)).to_params())
+    again = PlanarSimulation(loads_scenario(yaml.safe_dump(manifest.run.scenario)).to_params())
     again.run()
     assert again.state_hash() == manifest.run.final_state_hash
     text = read(path)["/consist"][0][1].scenario_yaml
-    again = Simulation(loads_scenario(text).to_params())
+    again = PlanarSimulation(loads_scenario(text).to_params())
     again.run()
     assert again.state_hash() == manifest.run.final_state_hash
 
@@ -210,26 +211,26 @@ def test_what_is_computed_does_not_depend_on_the_recording(tmp_path) -> None:
     scenario = small()
     hashes = set()
     for k, (state_rate, marker_rate) in enumerate([(50.0, 15.0), (7.0, 0.0), (400.0, 60.0)]):
-        simulation = Simulation(scenario.to_params())
+        simulation = PlanarSimulation(scenario.to_params())
         manifest = record_run(
             simulation, scenario, tmp_path / str(k), state_rate=state_rate, marker_rate=marker_rate
         )
         hashes.add(manifest.run.final_state_hash)
         assert (manifest.messages["/markers"] == 0) == (marker_rate == 0.0)
-    bare = Simulation(scenario.to_params())
+    bare = PlanarSimulation(scenario.to_params())
     bare.run()
     assert hashes == {bare.state_hash()}
 
 
 def test_commands_are_in_the_manifest_and_repeat_the_run(tmp_path) -> None:
-    from derail_ros.engine import Command
+    from derail_ros.vocabulary.events import Command
 
     scenario = small()
-    simulation = Simulation(scenario.to_params())
+    simulation = PlanarSimulation(scenario.to_params())
     simulation.trigger_emergency_brake(mode="instant")
     simulation.inject_rail_break(car=9)
     manifest = record_run(simulation, scenario, tmp_path / "bag")
-    again = Simulation(scenario.to_params())
+    again = PlanarSimulation(scenario.to_params())
     for command in manifest.run.commands:
         again.apply(Command(**command))
     again.run()
@@ -239,7 +240,7 @@ def test_commands_are_in_the_manifest_and_repeat_the_run(tmp_path) -> None:
 
 def test_a_run_that_has_begun_already_is_refused(tmp_path) -> None:
     scenario = small()
-    simulation = Simulation(scenario.to_params())
+    simulation = PlanarSimulation(scenario.to_params())
     simulation.advance_to(1.0)
     with pytest.raises(ValueError, match="at its start"):
         record_run(simulation, scenario, tmp_path / "bag")
@@ -249,7 +250,7 @@ def test_a_run_that_has_begun_already_is_refused(tmp_path) -> None:
 def test_a_failed_run_leaves_a_whole_recording(tmp_path) -> None:
     scenario = small(OFF_THE_TRACK)
     with pytest.raises(SimulationError):
-        record_run(Simulation(scenario.to_params()), scenario, tmp_path / "bag")
+        record_run(PlanarSimulation(scenario.to_params()), scenario, tmp_path / "bag")
     found = read(tmp_path / "bag")
     assert found["/events"][-1][1].kind_name == "run_failed"
     assert found["/outcome"][-1][1].status_name == "failed"
@@ -258,12 +259,12 @@ def test_a_failed_run_leaves_a_whole_recording(tmp_path) -> None:
 
 def test_an_interrupted_run_leaves_a_whole_recording(tmp_path) -> None:
     scenario = small()
-    simulation = Simulation(scenario.to_params())
+    simulation = PlanarSimulation(scenario.to_params())
 
-    def interrupt(sim: Simulation) -> None:
+    def interrupt(sim: PlanarSimulation) -> None:
         raise KeyboardInterrupt
 
-    original = Simulation.advance_to
+    original = PlanarSimulation.advance_to
     slow = lambda self, t: (time.sleep(0.02), original(self, t))[1]  # noqa: E731
     simulation.advance_to = slow.__get__(simulation)
     with pytest.raises(KeyboardInterrupt):

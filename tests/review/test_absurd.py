@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.recording import record_run
 from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.reader import read_bag
@@ -167,7 +167,7 @@ def test_a_body_that_stands_for_cars_is_no_mistake(tmp_path) -> None:
     scenario = load_scenario("mississauga_published").with_overrides(
         {"integration.time_limit_s": 2.0}
     )
-    record_run(Simulation(scenario.to_params()), scenario, tmp_path / "bag")
+    record_run(PlanarSimulation(scenario.to_params()), scenario, tmp_path / "bag")
     run = read_bag(tmp_path / "bag")
     assert run.n < run.cars.represents.sum()
     assert run.warnings == ()

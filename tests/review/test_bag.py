@@ -55,7 +55,7 @@ def test_the_outcome_is_the_engines(run, engine) -> None:
 
 
 def test_the_last_state_is_the_engines(run, engine) -> None:
-    np.testing.assert_allclose(run.pose[-1], engine.outcome().final_pose, atol=1e-6)
+    np.testing.assert_allclose(run.pose[-1], engine.sample().plane, atol=1e-6)
     assert run.n == 10
     assert run.pose.shape == (len(run.time), 10, 3)
     assert run.coupled.shape == (len(run.time), 9)

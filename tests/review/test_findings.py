@@ -538,13 +538,13 @@ print(f"{time.monotonic() - began:.1f} {used:.0f}", file=sys.stderr)
 def test_100_mb_are_reviewed_in_a_minute_and_500_mb(tmp_path) -> None:
     import subprocess
 
-    from derail_ros.engine import Simulation
+    from derail_ros.engine import PlanarSimulation
     from derail_ros.recording import record_run
     from derail_ros.scenario import load_scenario
 
     scenario = load_scenario("mississauga")
     path = tmp_path / "large"
-    record_run(Simulation(scenario.to_params()), scenario, path, state_rate=560.0)
+    record_run(PlanarSimulation(scenario.to_params()), scenario, path, state_rate=560.0)
     size = sum(f.stat().st_size for f in path.iterdir()) / 1e6
     assert size > 100.0
     done = subprocess.run(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from derail_ros.engine import IntegrationParams, LateralForce, Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.studies.convergence import (
     INTERVAL,
     MEASURES,
@@ -24,6 +24,7 @@ from derail_ros.studies.convergence import (
 )
 from derail_ros.studies.convergence_figure import convergence_figure
 from derail_ros.studies.ensemble import Run
+from derail_ros.vocabulary.params import IntegrationParams, LateralForce
 from tests.engine.support import make_train
 from tests.studies.made_up import runner
 
@@ -157,7 +158,7 @@ def short(rtol):
 
 def test_a_trace_is_the_path_of_the_run():
     made = trace(Run(short(1e-3)), lambda: False)
-    run = Simulation(short(1e-3))
+    run = PlanarSimulation(short(1e-3))
     run.advance_to(1.0)
     assert made.path[10] == pytest.approx(run.sample(1.0).q[:, :2], abs=1e-9)
     outcome = run.run()

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from derail_ros.engine import Simulation
+from derail_ros.engine import PlanarSimulation
 from derail_ros.scenario import load_scenario
-from derail_ros.studies.records import failed_record, outcome_record
 from derail_ros.studies.sensitivity import (
     CONSTANTS,
     CONTROL,
@@ -33,6 +32,7 @@ from derail_ros.studies.sensitivity import (
 )
 from derail_ros.studies.tornado import tornado
 from derail_ros.studies.validation import load_published
+from derail_ros.vocabulary.measures import failed_record, outcome_record
 from tests.studies.made_up import outcome, runner
 
 COUNT, DURATION, FORCE, _, _ = MEASURES
@@ -60,7 +60,7 @@ def test_every_change_changes_the_engine_and_is_accepted(constant):
         params = change.params(scenario)
         assert params not in seen
         seen.append(params)
-        Simulation(params)
+        PlanarSimulation(params)
 
 
 def test_defaults_in_words_are_those_of_the_engine():
@@ -172,7 +172,7 @@ def respond(run):
         cars_derailed=10 + (p.brakes.force < 40e3) + run.member % 2,
         duration=20.0 - p.integration.rest_speed,
         peak_force=p.contact.force_max * 3.0,
-        void=p.brakes.force == 20e3 and run.member == 0,
+        status="void" if p.brakes.force == 20e3 and run.member == 0 else "at rest",
     )
 
 

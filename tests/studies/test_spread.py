@@ -33,8 +33,8 @@ def respond(run):
         duration=25.0 + 0.1 * k,
         peak_force=20e6 + 1e5 * k,
         peak_force_pair=None if k == 1 else (11, 9) if k % 2 else (8, 6),
-        cars_above_10MN=(6, 8) if k % 2 else (8,),
-        void=k == 9,
+        car_peak_force=np.array(5 * [0.0] + [(k % 2) * 11e6, 0.0, 11e6] + 20 * [0.0]),
+        status="void" if k == 9 else "at rest",
     )
 
 

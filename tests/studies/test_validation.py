@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from derail_ros.engine import ContactParams, InitiationParams
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.doubt import DOUBTS, doubtful_runs, draw
 from derail_ros.studies.ensemble import Result, member_factor
@@ -29,6 +28,8 @@ from derail_ros.studies.validation import (
     validate,
     verdict,
 )
+from derail_ros.vocabulary.params import ContactParams, InitiationParams
+from tests.studies.made_up import outcome as made_up
 
 LIMITS = {
     "count_rms": 0.8,
@@ -178,15 +179,12 @@ def fake_run(runs, jobs=None):
     """Results out of order, in the manner of ``run_many``."""
     made = []
     for index, run in enumerate(runs):
-        outcome = SimpleNamespace(
-            cars_derailed=10 + run.member % 2, derailed_cars=(1,), duration=20.0 + run.member,
-            derail_time=(0.0,),
-            peak_force=4e6 + 1e6 * run.member, peak_force_pair=(2, 1), peak_force_time=3.0,
-            peak_resultant=5e6, cars_above_5MN=(2,), cars_above_10MN=(), scene_length=60.0,
-            scene_width=25.0, scene_area=1500.0, rear_stop=-3.0, max_coupler_gap=1e-9,
-            max_truck_offset=1e-9, energy_initial=1.0, energy={}, energy_residual=0.0, void=False,
-            status="at rest", time=21.0, steps=5, rejected_steps=0,
-        )  # fmt: skip
+        outcome = made_up(
+            cars_derailed=10 + run.member % 2,
+            duration=20.0 + run.member,
+            peak_force=4e6 + 1e6 * run.member,
+            energy_residual=0.0,
+        )
         made.append(Result(index, run, outcome, None, 0.1))
     yield from reversed(made)
 

@@ -1,0 +1,36 @@
+"""The planar engine as ``derail_ros.models`` offers it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from derail_ros.engine.jit import source_hash
+from derail_ros.engine.simulation import PlanarSimulation
+from derail_ros.engine.warming import warm_up
+from derail_ros.vocabulary.params import TrainParams
+
+
+class PlanarEngine:
+    """Toma's planar multibody model."""
+
+    name = "planar"
+    features = frozenset({"rail_breaks", "brakes", "collisions", "energy"})
+
+    def build(self, params: TrainParams) -> PlanarSimulation:
+        """A run at its start."""
+        return PlanarSimulation(params)
+
+    def load(self, data: bytes) -> PlanarSimulation:
+        """A run from its bytes."""
+        return PlanarSimulation.from_bytes(data)
+
+    def warm_up(self, progress: Any = None) -> Any:
+        """Compile the kernels."""
+        return warm_up(progress)
+
+    def source_hash(self) -> str:
+        """Hash of the engine's sources, the compiler's versions and the processor."""
+        return source_hash()
+
+
+ENGINE = PlanarEngine()

@@ -1,0 +1,181 @@
+"""A planar run seen at one moment: coordinates, forces and the ledger."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from derail_ros.engine import arrays as A
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import F64, Model, State, Work, make_work
+from derail_ros.engine.dynamics import PLAIN, accelerations
+from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.interpolation import interpolate, interpolate_energy
+from derail_ros.engine.solver import plain_masses
+from derail_ros.vocabulary.errors import ConstraintError
+from derail_ros.vocabulary.ledger import residual
+from derail_ros.vocabulary.sample import Sample, planar
+
+if TYPE_CHECKING:
+    from derail_ros.engine.simulation import PlanarSimulation
+
+WORK_ENTRIES = {
+    "brakes": L.E_BRAKE,
+    "ground_trucks": L.E_GROUND_TRUCK,
+    "ground_body": L.E_GROUND_BODY,
+    "collisions": L.E_COLLISION,
+    "striker_dampers": L.E_DAMPER,
+    "knuckles_released": L.E_KNUCKLE,
+    "external": L.E_EXTERNAL,
+    "stabilization_net": L.E_STAB_NET,
+    "stabilization_gross": L.E_STAB_GROSS,
+}
+"""Entries of the ledger that are integrated with the state, and their columns."""
+
+
+def ledger(
+    model: Model, initial: float, work: F64, coupled: A.U8, q: F64, v: F64
+) -> dict[str, float]:
+    """The energy ledger of a state, J."""
+    striker, knuckle = coupler_energy(model, coupled, q)
+    entries = {
+        "kinetic": float(kinetic_energy(model, v)),
+        "striker": float(striker),
+        "knuckle": float(knuckle),
+        "initial": float(initial),
+        **{key: float(work[column]) for key, column in WORK_ENTRIES.items()},
+    }
+    entries["residual"] = residual(entries)
+    return entries
+
+
+def all_active(state: State, work: Work) -> None:
+    """Let the next evaluation look at every pair of the neighbour list."""
+    count = int(state.cnt[L.N_PAIRS])
+    work.active[0] = count
+    work.active[1 : 1 + count] = np.arange(count)
+
+
+class Sampler:
+    """Takes samples of one run; keeps the scratch arrays between them."""
+
+    def __init__(self, run: PlanarSimulation) -> None:
+        self._run = run
+        self._work: Work | None = None
+
+    def __call__(self, t: float) -> Sample:
+        """State and forces at ``t``, within the last step or after the end of the run."""
+        run = self._run
+        model, s, n = run._model, run._state, run.n_cars
+        if self._work is None or len(self._work.pairs) != len(s.pairs):
+            self._work = make_work(n, len(s.pairs), 0, True)
+            plain_masses(model, self._work.wk)
+        work = self._work
+        inside = t < run.time
+        q, v, a = np.empty((n, 5)), np.empty((n, 5)), np.empty((n, 5))
+        energy = s.energy.copy()
+        if inside:
+            interpolate(s, t, q, v, a)
+            interpolate_energy(s, t, energy)
+        else:
+            q[:], v[:], a[:] = s.q, s.v, s.a
+        clock = s.clock.copy()
+        clock[L.T_ON] = s.clock[L.T_PREV] if inside else s.clock[L.T]
+        view = s._replace(
+            q=q,
+            v=v,
+            clock=clock,
+            cnt=s.cnt.copy(),
+            truck_s=s.truck_s.copy(),
+            pair=s.pair.copy(),
+            truck_on=(s.truck_on0 if inside else s.truck_on).copy(),
+            coupled=(s.coupled0 if inside else s.coupled).copy(),
+        )
+        all_active(s, work)
+        moment = min(t, run.time)
+        on, coupled = view.truck_on, view.coupled
+        if not accelerations(model, view, work, moment, on, coupled, q, v, work.dx, PLAIN):
+            raise ConstraintError("the constraint equations cannot be solved", run)
+        self._locate_derailed_trucks(view)
+        r = work.report
+        corner = r[:, A.R_CORNER :].reshape(n, 4, 4)
+        touched = corner[:, :, 0] > 0.0
+        external = r[:, A.R_EXTERNAL : A.R_EXTERNAL + 2].copy()
+        return Sample(
+            time=t,
+            step=run.step_count,
+            pose=planar(q),
+            velocity=planar(v),
+            acceleration=planar(a),
+            coupler_yaw=q[:, 3:5].copy(),
+            coupler_rate=v[:, 3:5].copy(),
+            coupler_acceleration=a[:, 3:5].copy(),
+            truck_on=view.truck_on,
+            coupled=view.coupled,
+            truck_coordinate=view.truck_s,
+            rail_force=work.lam_t.copy(),
+            brake_force=r[:, A.R_BRAKE].copy(),
+            ground_truck_force=r[:, A.R_TRUCK : A.R_TRUCK + 4].reshape(n, 2, 2).copy(),
+            ground_body_force=r[:, A.R_BODY : A.R_BODY + 2].copy(),
+            ground_moment=r[:, A.R_GROUND_MOMENT].copy(),
+            striker_force=r[:, A.R_STRIKER : A.R_STRIKER + 2].copy(),
+            relative_angle=q[:-1, 4] - q[1:, 3],
+            knuckle_moment=r[:-1, A.R_KNUCKLE].copy(),
+            coupler_force=work.lam_c.copy(),
+            coupler_gap=self._gap(q, view.coupled),
+            collision_force=r[:, A.R_COLLISION : A.R_COLLISION + 2].copy(),
+            collision_moment=r[:, A.R_COLLISION + 2].copy(),
+            corner_force=corner[:, :, 0].copy(),
+            corner_gap=np.where(touched, corner[:, :, 1], math.nan),
+            corner_closing_speed=np.where(touched, corner[:, :, 2], math.nan),
+            corner_other=corner[:, :, 3].astype(np.int64),
+            external_force=external,
+            external_moment=self._external_moment(t, q, external),
+            energy=ledger(model, s.clock[L.E_INITIAL], energy, view.coupled, q, v),
+        )
+
+    def _locate_derailed_trucks(self, view: State) -> None:
+        """Track coordinates of trucks off the rails, which the kernels leave where they were."""
+        run, q = self._run, view.q
+        c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
+        arm = run._model.car[:, L.DT]
+        coordinate = view.truck_s
+        for k, sign in ((0, 1.0), (1, -1.0)):
+            for i in np.flatnonzero(view.truck_on[:, k] == 0):
+                coordinate[i, k] = run.track.locate(
+                    float(q[i, 0] + sign * arm[i] * c[i]),
+                    float(q[i, 1] + sign * arm[i] * sn[i]),
+                    float(coordinate[i, k]),
+                )[0]
+
+    def _gap(self, q: F64, coupled: A.U8) -> F64:
+        """(N-1,) distance between mated faces, m; 0 once parted."""
+        car = self._run._model.car
+        c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
+
+        def face(sign: float, length: int, angle: int) -> F64:
+            x = car[:, L.DP] * c + car[:, length] * np.cos(q[:, angle])
+            y = car[:, L.DP] * sn + car[:, length] * np.sin(q[:, angle])
+            return q[:, :2] + sign * np.stack([x, y], axis=1)
+
+        apart = face(-1.0, L.DCR, 4)[:-1] - face(1.0, L.DCF, 3)[1:]
+        return np.where(coupled.astype(bool), np.hypot(*apart.T), 0.0)
+
+    def _external_moment(self, t: float, q: F64, force: F64) -> F64:
+        """(N,) moment of the forces that start the motion about the mass centres, N m.
+
+        Forces on one car have practically one direction (the track's normal at its trucks), so
+        the car's resultant acts at their weighted place.
+        """
+        params = self._run.params
+        side = {"front": 1.0, "rear": -1.0, "centre": 0.0}
+        weight, moment = np.zeros(len(q)), np.zeros(len(q))
+        for f in params.initiation.lateral_forces:
+            if f.start <= t <= f.start + f.duration:
+                i = f.car - 1
+                weight[i] += abs(f.force)
+                moment[i] += abs(f.force) * side[f.place] * params.cars[i].truck_distance
+        arm = np.divide(moment, weight, out=np.zeros_like(moment), where=weight > 0.0)
+        return np.asarray(arm * (np.cos(q[:, 2]) * force[:, 1] - np.sin(q[:, 2]) * force[:, 0]))

@@ -1,0 +1,67 @@
+"""Engines by the name of their model: ``model:`` in a scenario, ``--model`` on a command line."""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.vocabulary.errors import ParameterError
+from derail_ros.vocabulary.params import PLANAR, TrainParams
+
+if TYPE_CHECKING:
+    from derail_ros.vocabulary.simulation import Engine, Simulation
+
+GROUP = "derail_ros.engines"
+"""Entry points of this group (name = module:object) are engines of other packages."""
+
+_ENGINES: dict[str, Any] = {PLANAR: "derail_ros.engine.planar:ENGINE"}
+
+
+def names() -> list[str]:
+    """Names of the models, the default one first."""
+    return [
+        *_ENGINES,
+        *sorted(e.name for e in entry_points(group=GROUP) if e.name not in _ENGINES),
+    ]
+
+
+def register(engine: Engine) -> None:
+    """Make an engine known in this process."""
+    _ENGINES[engine.name] = engine
+
+
+def engine(name: str = PLANAR) -> Engine:
+    """The engine of a model.
+
+    Raises
+    ------
+    ParameterError
+        There is no such model.
+    """
+    found = _ENGINES.get(name)
+    if found is None:
+        found = next((e.load() for e in entry_points(group=GROUP) if e.name == name), None)
+    if found is None:
+        raise ParameterError("model", f"must be one of {', '.join(names())}, got {name}")
+    if isinstance(found, str):  # imported at first use: kernels take a second to load
+        module, _, attribute = found.partition(":")
+        found = getattr(importlib.import_module(module), attribute)
+    _ENGINES[name] = found
+    return found  # type: ignore[no-any-return]
+
+
+def build(params: TrainParams) -> Simulation:
+    """A run at its start, by the engine that the parameters name.
+
+    Raises
+    ------
+    ParameterError
+        A parameter is out of its range, does not fit the others, or there is no such model.
+    """
+    return engine(params.model).build(params)
+
+
+def engine_hash(name: str = PLANAR) -> str:
+    """Hash of all that decides what a model's engine computes."""
+    return engine(name).source_hash()

@@ -1,0 +1,232 @@
+"""THE table of measures: what is told of an outcome in tables, JSON, studies, figures, messages.
+
+To add a measure, add one row to :data:`MEASURES`; everything else reads the table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.severity import severity
+from derail_ros.vocabulary.status import AT_REST, FAILED
+from derail_ros.vocabulary.words import finite, number_list
+
+SCHEMA = "derail_ros/outcome"
+SCHEMA_VERSION = 2
+"""Version of the records below; 1 had ``rear_stop_m`` and ``duration_s`` of runs not at rest."""
+
+NUMBER = "number"
+COUNT = "count"
+CARS = "cars"
+PAIR = "pair"
+FLAG = "flag"
+TEXT = "text"
+
+HEADLINE = "headline"
+DETAIL = "detail"
+NUMERICS = "numerics"
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is told of an outcome.
+
+    Attributes
+    ----------
+    key : its name everywhere: in JSON, tables of studies, messages; ends with its SI unit
+    words : its name for people
+    of : its value from an outcome
+    kind : NUMBER, COUNT, CARS (car numbers; counts by their number), PAIR, FLAG or TEXT
+    unit : SI unit, "" for none
+    shown_unit, scale, digits : how it is shown to people: unit, factor from SI, digits
+    group : HEADLINE for the table of an outcome, DETAIL for JSON, studies and messages only,
+        NUMERICS for what tells of the computation
+    former : names it had before, which are still read
+    """
+
+    key: str
+    words: str
+    of: Callable[[Outcome], Any]
+    kind: str = NUMBER
+    unit: str = ""
+    shown_unit: str = ""
+    scale: float = 1.0
+    digits: int = 1
+    group: str = HEADLINE
+    former: tuple[str, ...] = ()
+
+    @property
+    def numeric(self) -> bool:
+        """It has a mean over runs."""
+        return self.kind in (NUMBER, COUNT, CARS)
+
+    @property
+    def whole(self) -> bool:
+        """It is a count."""
+        return self.kind in (COUNT, CARS)
+
+    @property
+    def title(self) -> str:
+        """Words with the unit it is shown in."""
+        unit = self.shown_unit or self.unit
+        return f"{self.words} ({unit})" if unit else self.words
+
+    def value(self, outcome: Outcome) -> Any:
+        """Its value as JSON knows it: None for what does not exist."""
+        value = self.of(outcome)
+        if self.kind == NUMBER:
+            return finite(value)
+        if self.kind == COUNT:
+            return None if value is None else int(value)
+        if self.kind in (CARS, PAIR):
+            return None if value is None else [int(v) for v in value]
+        return bool(value) if self.kind == FLAG else str(value)
+
+    def number(self, value: Any) -> float | None:
+        """A recorded value as a number: a list of cars by its length; None where there is none."""
+        if value is None or not self.numeric:
+            return None
+        return finite(len(value) if isinstance(value, (list, tuple)) else value)
+
+    def shown(self, value: Any, more: int = 0) -> str:
+        """A value for people, in the unit it is shown in, ``-`` for none; ``more`` digits."""
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return "-"
+        if isinstance(value, (list, tuple)):
+            if self.kind == PAIR:
+                return "car {} into car {}".format(*value)
+            return f"{len(value)}  ({number_list(value)})" if value else "0"
+        if self.kind in (FLAG, TEXT):
+            return str(value)
+        if self.whole and float(value) == int(value) and not more:
+            return str(int(value))
+        digits = max(self.digits, 1) if self.whole else self.digits
+        return f"{value * self.scale:.{digits + more}f}"
+
+
+def _share(*entries: str) -> Callable[[Outcome], float]:
+    def share(o: Outcome) -> float:
+        total = o.energy.get("initial", 0.0)
+        taken = [o.energy[e] for e in entries if e in o.energy]
+        return sum(taken) / total if total > 0.0 and taken else math.nan
+
+    return share
+
+
+def _all(*measures: Measure) -> dict[str, Measure]:
+    return {m.key: m for m in measures}
+
+
+MEASURES: dict[str, Measure] = _all(
+    Measure("cars_derailed", "cars derailed", lambda o: o.cars_derailed, COUNT),
+    Measure("derailed_cars", "which cars", lambda o: o.derailed_cars, CARS),
+    Measure("first_derailed", "first car derailed",
+            lambda o: o.derailed_cars[0] if o.derailed_cars else None, COUNT, group=DETAIL),
+    Measure("last_derailed", "last car derailed",
+            lambda o: o.derailed_cars[-1] if o.derailed_cars else None, COUNT, group=DETAIL),
+    Measure("first_derailment_s", "first derailment", lambda o: o.first_derailment, unit="s",
+            digits=2, group=DETAIL),
+    Measure("duration_s", "time to rest", lambda o: o.duration, unit="s", digits=2),
+    Measure("peak_force_N", "largest force", lambda o: o.peak_force, unit="N", shown_unit="MN",
+            scale=1e-6, digits=2, former=("peak_force_MN",)),
+    Measure("peak_force_pair", "between", lambda o: o.peak_force_pair, PAIR),
+    Measure("peak_force_time_s", "at", lambda o: o.peak_force_time, unit="s", digits=2),
+    Measure("peak_resultant_N", "largest resultant between two cars", lambda o: o.peak_resultant,
+            unit="N", shown_unit="MN", scale=1e-6, digits=2,
+            former=("peak_resultant_MN",), group=DETAIL),
+    Measure("cars_above_5MN", "cars struck above 5 MN", lambda o: o.cars_above_5MN, CARS),
+    Measure("cars_above_10MN", "cars struck above 10 MN", lambda o: o.cars_above_10MN, CARS),
+    Measure("scene_length_m", "scene length", lambda o: o.scene_length, unit="m"),
+    Measure("scene_width_m", "scene width", lambda o: o.scene_width, unit="m"),
+    Measure("scene_area_m2", "scene area", lambda o: o.scene_area, unit="m2",
+            shown_unit="m\N{SUPERSCRIPT TWO}", digits=0),
+    Measure("severity", "severity (published base run: 1)", severity, digits=2),
+    Measure("rear_part_first_car", "first car on the rails behind",
+            lambda o: o.rear_part_first_car or None, COUNT, group=DETAIL),
+    Measure("rear_stop_m", "rear part stopped at", lambda o: o.rear_stop, unit="m"),
+    Measure("energy_initial_J", "kinetic and elastic energy at the start",
+            lambda o: o.energy.get("initial", math.nan), unit="J", shown_unit="MJ", scale=1e-6,
+            former=("energy_MJ",), group=DETAIL),
+    Measure("share_brakes", "share of the energy taken by the brakes", _share("brakes"),
+            digits=3, group=DETAIL),
+    Measure("share_ground", "share of the energy taken by the ground",
+            _share("ground_trucks", "ground_body"), digits=3, group=DETAIL),
+    Measure("share_collisions", "share of the energy taken by collisions",
+            _share("collisions"), digits=3, group=DETAIL),
+    Measure("train_cars", "cars in the train", lambda o: o.train_cars, COUNT, group=DETAIL),
+    Measure("status", "status", lambda o: o.status, TEXT, group=DETAIL),
+    Measure("at_rest", "came to rest", lambda o: o.status == AT_REST, FLAG, group=DETAIL),
+    Measure("void", "void", lambda o: o.void, FLAG, group=DETAIL),
+    Measure("end_time_s", "run time at the end", lambda o: o.time, unit="s", digits=2,
+            group=DETAIL),
+    Measure("max_coupler_gap_m", "largest coupler gap", lambda o: o.max_coupler_gap, unit="m",
+            shown_unit="\N{MICRO SIGN}m", scale=1e6, digits=3, group=NUMERICS),
+    Measure("max_truck_offset_m", "largest offset of a truck from the track",
+            lambda o: o.max_truck_offset, unit="m", shown_unit="\N{MICRO SIGN}m", scale=1e6,
+            digits=3, group=NUMERICS),
+    Measure("energy_residual", "largest energy imbalance, of the energy at the start",
+            lambda o: o.energy_residual, shown_unit="%", scale=100.0, digits=4, group=NUMERICS),
+    Measure("steps", "steps", lambda o: o.steps, COUNT, group=NUMERICS),
+    Measure("rejected_steps", "rejected steps", lambda o: o.rejected_steps, COUNT,
+            group=NUMERICS),
+)  # fmt: skip
+"""All measures, in the order of tables and records."""
+
+
+def measure(name: str) -> Measure:
+    """A measure by its key or a former name.
+
+    Raises
+    ------
+    KeyError
+        If there is none.
+    """
+    if name in MEASURES:
+        return MEASURES[name]
+    for m in MEASURES.values():
+        if name in m.former:
+            return m
+    raise KeyError(name)
+
+
+def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
+    """An outcome as plain data: every measure, the ledger as ``energy_J``, the wall time."""
+    energy = {key: finite(value) for key, value in outcome.energy.items()}
+    return {
+        **{key: m.value(outcome) for key, m in MEASURES.items()},
+        "energy_J": energy,
+        "wall_s": finite(wall_s, 6),
+    }
+
+
+def failed_record(error: str, wall_s: float | None = None) -> Record:
+    """The record of a run that failed."""
+    return {"error": error, "status": FAILED, "wall_s": finite(wall_s, 6)}
+
+
+def counted(record: Mapping[str, Any]) -> bool:
+    """Whether a record counts in statistics: neither failed nor void."""
+    return "error" not in record and not record.get("void", False)
+
+
+def record_numbers(record: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers of a record that have a mean: measures, and ``energy_J.brakes`` and the like."""
+    flat: dict[str, float] = {}
+    for key, value in record.items():
+        if key in MEASURES:
+            number = MEASURES[key].number(value)
+        elif isinstance(value, Mapping):
+            flat |= {f"{key}.{k}": float(v) for k, v in value.items() if v is not None}
+            continue
+        else:
+            plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+            number = finite(value) if plain else None
+        if number is not None and key != "derailed_cars":
+            flat[key] = number
+    return flat
