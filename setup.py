@@ -21,6 +21,7 @@ BASE = [
     "rich>=13",
     "matplotlib>=3.8",
     "rosbags>=0.10.9",
+    "mcap>=1.6",
 ]
 
 # ROS 2 Kilted as wheels (x86-64 Linux): the versions that were tested together.
@@ -58,7 +59,6 @@ TEST = [
     "pytest-xdist>=3.5",
     "hypothesis>=6.100",
     "scipy>=1.11",
-    "mcap>=1.1",
     "mcap-ros2-support>=0.5",
     "selenium>=4.15",
     "sympy>=1.12",

@@ -7,12 +7,8 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Protocol
-
-from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import Reader
+from typing import Protocol
 
 from derail_ros.recording.storage import BagError, Channel, open_bag
 from msg_adapters.common import NANOSECONDS
@@ -74,8 +70,17 @@ class Playback:
         self.loop = False
         self.stopped = False
         self.laps = 0
-        self._stack = ExitStack()
-        self._open()
+        span = self.bag.span()
+        if span is None:
+            raise BagError(f"{self.bag.path}: no message in it")
+        self.start, self.end = span
+        self.channels = [c for c in self.bag.channels if c.topic not in OWN_CLOCK]
+        self._latched_names = {c.topic for c in self.channels if c.latched}
+        self._latched: list[Item] = [
+            (stamp, channel.topic, data)
+            for channel, stamp, data in self.bag.messages(self._is_latched)
+        ]
+        self._latched_times = [stamp for stamp, _, _ in self._latched]
         self._rate = 1.0
         self._paused = True
         self._now = self.start
@@ -84,34 +89,15 @@ class Playback:
         self._items: Iterator[Item] = iter(())
         self._begin(self.start)
 
-    def _open(self) -> None:
-        try:
-            self._reader = self._stack.enter_context(Reader(self.bag.path))
-        except Exception as error:  # whatever a damaged file makes rosbags raise
-            raise BagError(f"{self.bag.path}: {error}") from None
-        self._connections = [c for c in self._reader.connections if c.topic not in OWN_CLOCK]
-        if not self._reader.message_count:
-            raise BagError(f"{self.bag.path}: no message in it")
-        self.start: int = self._reader.start_time
-        self.end: int = max(self.start, self._reader.end_time - 1)
-        self.latched = [c for c in self._connections if _latched(c)]
-        names = {c.topic for c in self.latched}
-        self._latched: list[Item] = [
-            (stamp, c.topic, bytes(data))
-            for c, stamp, data in (self._reader.messages(self.latched) if self.latched else ())
-        ]
-        self._latched_times = [stamp for stamp, _, _ in self._latched]
-        self._latched_names = names
+    def _is_latched(self, channel: Channel) -> bool:
+        return channel.topic in self._latched_names
+
+    def _is_played(self, channel: Channel) -> bool:
+        return channel.topic not in OWN_CLOCK
 
     def close(self) -> None:
         """Close the recording."""
-        self._stack.close()
-
-    @property
-    def channels(self) -> list[Channel]:
-        """The topics that are played."""
-        played = {(c.topic, c.msgtype) for c in self._connections}
-        return [c for c in self.bag.channels if (c.topic, c.msgtype) in played]
+        self._items = iter(())
 
     # --- time ----------------------------------------------------------------------------------
 
@@ -179,14 +165,11 @@ class Playback:
         """Have the messages from ``stamp`` on ready."""
         if self.output is not None:
             self.output.renew()
-        messages = self._reader.messages(self._connections, start=stamp)
         self._items = (
-            (when, connection.topic, data)
-            for connection, when, data in messages
+            (when, channel.topic, data)
+            for channel, when, data in self.bag.messages(self._is_played, start=stamp)
             # Those latched until now are shown at once.
-            if not (
-                stamp > self.start and when <= stamp and connection.topic in self._latched_names
-            )
+            if not (stamp > self.start and when <= stamp and self._is_latched(channel))
         )
         self._next = next(self._items, None)
 
@@ -197,12 +180,10 @@ class Playback:
         for _, topic, data in self._latched[: bisect.bisect_right(self._latched_times, stamp)]:
             self.output.publish(topic, data)
         last: dict[str, bytes] = {}
-        others = [c for c in self._connections if c.topic not in self._latched_names]
         early = max(self.start, stamp - LOOK_BACK)
-        for connection, _, data in (
-            self._reader.messages(others, start=early, stop=stamp) if others else ()
-        ):
-            last[connection.topic] = bytes(data)
+        for channel, _, data in self.bag.messages(self._is_played, start=early, stop=stamp):
+            if not self._is_latched(channel):
+                last[channel.topic] = data
         for topic, data in last.items():
             self.output.publish(topic, data)
 
@@ -241,7 +222,7 @@ class Playback:
             return
         _, topic, data = self._next
         if self.output is not None:
-            self.output.publish(topic, bytes(data))
+            self.output.publish(topic, data)
         self._next = next(self._items, None)
 
     def send_present(self) -> None:
@@ -261,8 +242,3 @@ class Playback:
         """Publish so many messages at once, 0 for all that are left; only while paused."""
         steps = itertools.count() if count == 0 else range(count)
         return sum(1 for _ in itertools.takewhile(lambda _: self.play_next(), steps))
-
-
-def _latched(connection: Any) -> bool:
-    profiles = getattr(connection.ext, "offered_qos_profiles", ()) or ()
-    return any(p.durability == QosDurability.TRANSIENT_LOCAL for p in profiles)

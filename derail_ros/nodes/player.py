@@ -91,7 +91,7 @@ class NodeOutput:
             self.node.destroy_publisher(publisher)
         self._retired = []
         for topic, channel in self._channels.items():
-            if "TRANSIENT_LOCAL" in str(channel.qos[:1]):
+            if channel.latched:
                 old = self.publishers[topic]
                 expected = old.get_subscription_count()
                 self.publishers[topic] = new = self._publisher(channel)

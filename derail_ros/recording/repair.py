@@ -51,10 +51,12 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
 
     found = open_bag(bag)
     # Without index and metadata nothing that the file holds is left out.
-    raw = RawBag(found.path, found.storage, found.files, found.channels, False, found.warnings)
+    raw = dataclasses.replace(found, intact=False)
     if found.intact and (whole := _whole(raw)) is not None:
         return whole
-    folder = raw.path if raw.path.is_dir() else raw.path.with_suffix("")
+    folder = raw.path
+    if folder.is_file():
+        folder = folder.with_name(folder.name.removesuffix(".zstd")).with_suffix("")
     target = folder.with_name(f"{folder.name}_repaired") if output is None else output
     if target.exists():
         raise BagError(f"{target}: exists already; name another folder with -o")

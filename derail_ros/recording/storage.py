@@ -1,30 +1,42 @@
-"""Messages of a rosbag2 recording as bytes, whole bags and damaged ones alike.
+"""Recordings on disk: found at a path, opened whole or damaged, their messages as bytes.
 
-Intact recordings are read with ``rosbags``. A recording whose writer was killed has neither
-index nor metadata; its messages are found by going through the file from its beginning (MCAP) or
-by asking the database directly (SQLite).
+A recording is a rosbag2 folder or a file of one (MCAP or SQLite, also compressed with zstd). A
+recording whose writer was killed has neither index nor metadata; its files are then read from
+their beginning.
 """
 
 from __future__ import annotations
 
-import io
-import shutil
 import sqlite3
-import struct
 import tempfile
-import zlib
-from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, suppress
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, BinaryIO
+from pathlib import Path, PurePath
+from typing import Any
 
+import yaml
+import zstandard
+
+from derail_ros.recording import mcap_file, sqlite_file
+from derail_ros.recording.channels import Channel, Message, Span, Wanted, one_line
 from derail_ros.vocabulary.words import count
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-SQLITE_MAGIC = b"SQLite format 3\0"
-LARGEST_RECORD = 1 << 29
-"""No record of a recording is larger than this: a larger one is damage, bytes."""
+__all__ = [
+    "BagError",
+    "BagVersionError",
+    "Channel",
+    "Message",
+    "NotABagError",
+    "OtherTopicsError",
+    "RawBag",
+    "check_version",
+    "open_bag",
+    "topics_of",
+]
+
+METADATA = "metadata.yaml"
+SUFFIXES = (".mcap", ".db3")
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class BagError(Exception):
@@ -43,114 +55,105 @@ class BagVersionError(BagError):
     """A recording of messages that this version does not know."""
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A topic of a recording.
-
-    Attributes
-    ----------
-    topic, msgtype : its name and type, for example ``derail_msgs/msg/TrainState``
-    definition : text of the message definition, "" where the recording has none
-    qos : what the recording says of its quality of service (``rosbags.interfaces.Qos``)
-    digest : hash of the type description, "" if unknown
-    """
-
-    topic: str
-    msgtype: str
-    definition: str = ""
-    qos: tuple[Any, ...] = ()
-    digest: str = ""
-
-    @property
-    def name(self) -> str:
-        """Last part of the topic's name."""
-        return self.topic.rpartition("/")[2]
-
-
-Message = tuple[Channel, int, bytes]
-"""Channel, time (ns) and CDR bytes."""
-
-
 @dataclass
 class RawBag:
     """A recording that was found and can be read.
 
     Attributes
     ----------
-    path : folder or file
-    storage : "mcap" or "sqlite3"
-    files : its files, in order
-    channels : its topics; of a recording without index those found at the beginning
-    intact : index and metadata are there
-    warnings : what is wrong with it, grows while it is read
+    path
+        Folder or file.
+    storage
+        ``"mcap"`` or ``"sqlite3"``.
+    files
+        Its files in order; of compressed ones the unpacked copies.
+    size
+        Bytes on disk.
+    channels
+        Its topics.
+    intact
+        Index and metadata are there.
+    compressed_messages
+        Each message is compressed by itself (rosbag2's ``compression_mode: message``).
+    warnings
+        What is wrong with it; grows while it is read.
     """
 
     path: Path
     storage: str
     files: list[Path]
+    size: int
     channels: list[Channel] = field(default_factory=list)
     intact: bool = True
+    compressed_messages: bool = False
     warnings: list[str] = field(default_factory=list)
-
-    @property
-    def size(self) -> int:
-        """Bytes on disk."""
-        return sum(file.stat().st_size for file in self.files)
+    _unpacked: Any = None
 
     def warn(self, text: str) -> None:
         """Note something once."""
         if text not in self.warnings:
             self.warnings.append(text)
 
-    def messages(self, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[Message]:
-        """All messages of the wanted topics.
+    def messages(
+        self,
+        wanted: Wanted = lambda _: True,
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[Message]:
+        """All messages of the wanted topics, of an intact recording between two times.
 
-        An intact recording gives them in order of time, a damaged one in the order in which they
-        were written.
+        An intact recording gives them in order of time, a damaged one all in the order in which
+        they were written.
+
+        Parameters
+        ----------
+        wanted
+            Which topics.
+        start, stop
+            From ``start`` to before ``stop``, ns.
         """
-        if self.intact:
-            yield from self._indexed(wanted)
-        else:
-            for file in self.files:
-                scan = _scan_mcap if self.storage == "mcap" else _scan_sqlite
-                yield from scan(file, wanted, self.warn)
-
-    def _indexed(self, wanted: Callable[[Channel], bool]) -> Iterator[Message]:
-        from rosbags.rosbag2 import Reader
-
         read = 0
-        try:
-            with Reader(self.path) as reader:
-                channels = {c.id: _channel(c) for c in reader.connections}
-                chosen = [c for c in reader.connections if wanted(channels[c.id])]
-                # Without connections rosbags would give all messages.
-                for connection, stamp, data in reader.messages(chosen) if chosen else ():
-                    yield channels[connection.id], stamp, data
+        for file in self.files:
+            try:
+                for channel, stamp, data in self._read(file, wanted, start, stop):
+                    if self.compressed_messages:
+                        data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+                    yield channel, stamp, data
                     read += 1
-        except GeneratorExit:
-            raise
-        except Exception as error:  # whatever a damaged file makes rosbags raise
-            self.warn(
-                f"damaged: {_line(error)}; {count(read, 'message')} before that could be read"
-            )
+            except Exception as error:  # damage makes the libraries raise anything
+                before = f"{count(read, 'message')} before that could be read"
+                self.warn(f"damaged: {one_line(error)}; {before}")
+                if self.intact:
+                    return
+
+    def _read(
+        self, file: Path, wanted: Wanted, start: int | None, stop: int | None
+    ) -> Iterator[Message]:
+        if self.storage == "sqlite3":
+            return sqlite_file.messages(file, wanted, start, stop, by_time=self.intact)
+        if self.intact:
+            return mcap_file.indexed_messages(file, wanted, start, stop)
+        return mcap_file.scanned_messages(file, wanted, self.warn)
+
+    def span(self) -> Span | None:
+        """First and last time of an intact recording (ns), ``None`` if it holds no message.
+
+        Raises
+        ------
+        BagError
+            If it is damaged.
+        """
+        read = mcap_file.indexed_span if self.storage == "mcap" else sqlite_file.span
+        try:
+            spans = [found for file in self.files if (found := read(file)) is not None]
+        except Exception as error:  # damage makes the libraries raise anything
+            raise BagError(f"{self.path}: {one_line(error)}") from None
+        if not spans:
+            return None
+        return min(first for first, _ in spans), max(last for _, last in spans)
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
-
-
-def _channel(connection: Any) -> Channel:
-    definition = getattr(connection.msgdef, "data", "") or ""
-    return Channel(
-        topic=str(connection.topic),
-        msgtype=str(connection.msgtype),
-        definition=definition,
-        qos=tuple(getattr(connection.ext, "offered_qos_profiles", ()) or ()),
-        digest=str(connection.digest or ""),
-    )
-
-
-# --- finding ---------------------------------------------------------------------------------
+# --- finding -----------------------------------------------------------------------------------
 
 
 def open_bag(path: str | Path) -> RawBag:
@@ -166,395 +169,160 @@ def open_bag(path: str | Path) -> RawBag:
         raise NotABagError(f"{path}: no such file or folder")
     if path.is_dir():
         return _open_folder(path)
-    if path.name == "metadata.yaml":
+    if path.name == METADATA:
         return _open_folder(path.parent)
-    storage = storage_of(path)
-    if storage is None:
+    if not _is_recording(path):
         raise NotABagError(f"{path}: neither an MCAP nor an SQLite recording")
-    if (path.parent / "metadata.yaml").exists():
-        whole = _open_folder(path.parent)
-        if whole.intact and whole.files == [path]:
-            return whole
-    # A file by itself: not every rosbags opens one, but there is the way from its beginning.
-    alone = _open_indexed(path, [path])
-    return alone if isinstance(alone, RawBag) else _open_files(path, [path], storage)
+    try:
+        metadata = _Metadata(path.parent)
+        if metadata.files == [path.name]:
+            return _open_files(path.parent, [path], metadata=metadata)
+    except ValueError:
+        pass
+    return _open_files(path, [path])
 
 
-def storage_of(path: Path) -> str | None:
-    """Kind of recording that a file is, told by its first bytes."""
+class _Metadata:
+    """What ``metadata.yaml`` says of a recording's files.
+
+    Raises
+    ------
+    ValueError
+        If it is not there or cannot be read, with the reason.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            text = (folder / METADATA).read_text(encoding="utf-8")
+        except OSError:
+            raise ValueError(f"no {METADATA}: the recorder did not end") from None
+        try:
+            loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+            info = yaml.load(text, Loader=loader)["rosbag2_bagfile_information"]
+            self.files = [PurePath(name).name for name in info["relative_file_paths"]]
+            self.compressed_messages = str(info.get("compression_mode", "")).lower() == "message"
+        except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{METADATA} cannot be read: {one_line(error)}") from None
+        missing = [name for name in self.files if not (folder / name).exists()]
+        if missing:
+            raise ValueError(f"{', '.join(missing)} of {METADATA} not found")
+
+
+def _head(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            head = file.read(16)
+            return file.read(16)
     except OSError as error:
         raise NotABagError(f"{path}: {error.strerror}") from None
-    if head.startswith(MCAP_MAGIC):
+
+
+def _storage(path: Path) -> str | None:
+    """Kind of recording that a file is, by its first bytes."""
+    head = _head(path)
+    if head.startswith(mcap_file.MAGIC):
         return "mcap"
-    return "sqlite3" if head == SQLITE_MAGIC else None
+    return "sqlite3" if head == sqlite_file.MAGIC else None
+
+
+def _is_recording(path: Path) -> bool:
+    return _storage(path) is not None or _head(path).startswith(ZSTD_MAGIC)
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Files of a folder that are named like those of recordings."""
+    found = (f for f in folder.iterdir() if f.name.removesuffix(".zstd").endswith(SUFFIXES))
+    return sorted((f for f in found if f.is_file()), key=lambda f: (len(f.name), f.name))
 
 
 def _open_folder(path: Path) -> RawBag:
-    metadata = path / "metadata.yaml"
-    files = sorted(
-        (f for f in path.iterdir() if f.suffix in (".mcap", ".db3") and f.is_file()),
-        key=lambda f: (len(f.name), f.name),
-    )
-    if not files and not metadata.exists():
-        inner = [f for f in sorted(path.iterdir()) if f.is_dir() and _looks_like_bag(f)]
+    files = _files_in(path)
+    if not files and not (path / METADATA).exists():
+        inner = [f for f in sorted(path.iterdir()) if f.is_dir()]
+        inner = [f for f in inner if (f / METADATA).exists() or _files_in(f)]
         if len(inner) == 1:
             return _open_folder(inner[0])
         if inner:
             names = ", ".join(f.name for f in inner[:5])
             raise NotABagError(f"{path}: holds several recordings ({names}): name one")
         raise NotABagError(f"{path}: no recording in this folder")
-    if metadata.exists():
-        bag = _open_indexed(path, files)
-        if isinstance(bag, RawBag):
-            return bag
-        reason = bag
-    else:
-        reason = "no metadata.yaml: the recorder did not end"
-    kinds = {storage_of(f) for f in files} - {None}
-    if len(kinds) != 1:
+    try:
+        metadata = _Metadata(path)
+        return _open_files(path, [path / name for name in metadata.files], metadata=metadata)
+    except ValueError as error:
+        reason = str(error)
+    recordings = [f for f in files if _is_recording(f)]
+    if not recordings:
         raise NotABagError(f"{path}: {reason}, and no file in it is a recording")
-    storage = str(kinds.pop())
-    sound = [f for f in files if storage_of(f) == storage]
-    bag = _open_files(path, sound, storage, reason)
+    bag = _open_files(path, recordings, reason)
     for file in files:
-        if file not in sound:
+        if file not in recordings:
             bag.warn(f"{file.name} is no recording: left out")
     return bag
 
 
-def _looks_like_bag(path: Path) -> bool:
-    return (path / "metadata.yaml").exists() or any(path.glob("*.mcap")) or any(path.glob("*.db3"))
-
-
-def _open_indexed(path: Path, files: list[Path]) -> RawBag | str:
-    """The recording, or why ``rosbags`` cannot open it."""
-    from rosbags.rosbag2 import Reader
-
-    try:
-        with Reader(path) as reader:
-            channels = [_channel(c) for c in reader.connections]
-            storage = storage_of(files[0]) if files else None
-            # A journal beside a database is the trace of a writer that was killed.
-            if any(_journal(f) for f in files):
-                return "the recorder did not end"
-            return RawBag(path, storage or "mcap", files, channels)
-    except Exception as error:  # whatever a damaged file makes rosbags raise
-        return _line(error)
-
-
-def _open_files(path: Path, files: list[Path], storage: str, reason: str = "") -> RawBag:
-    bag = RawBag(path, storage, files, intact=False)
-    scan = _channels_mcap if storage == "mcap" else _channels_sqlite
+def _open_files(
+    path: Path, files: list[Path], reason: str = "", metadata: _Metadata | None = None
+) -> RawBag:
+    """Open files of one recording; ``reason`` says why it is known not to be whole."""
+    size = sum(file.stat().st_size for file in files)
+    files, folder = _unpack(files)
+    kinds = {_storage(file) for file in files}
+    storage = kinds.pop() if len(kinds) == 1 else None
+    if storage is None:
+        raise NotABagError(f"{path}: its files are not recordings of one storage")
+    bag = RawBag(path, storage, files, size, _unpacked=folder)
+    bag.compressed_messages = metadata is not None and metadata.compressed_messages
     found: dict[tuple[str, str], Channel] = {}
     for file in files:
-        for channel in scan(file, bag.warn):
+        channels, fault = _mcap_channels(file) if storage == "mcap" else _sqlite_channels(file)
+        reason = reason or fault
+        for channel in channels:
             found.setdefault((channel.topic, channel.msgtype), channel)
     bag.channels = list(found.values())
     if not found:
         raise NotABagError(f"{path}: a recording without anything in it")
     if reason:
+        bag.intact = False
         bag.warn(f"incomplete ({reason}): what is there was read; derail repair makes it whole")
-    elif storage == "mcap" and not _ends_well(files[-1]):
-        bag.warn("incomplete (no index): what is there was read; derail repair makes it whole")
     return bag
 
 
-def _ends_well(file: Path) -> bool:
-    with file.open("rb") as stream:
-        stream.seek(max(0, file.stat().st_size - len(MCAP_MAGIC)))
-        return stream.read() == MCAP_MAGIC and file.stat().st_size > len(MCAP_MAGIC)
+def _unpack(files: list[Path]) -> tuple[list[Path], Any]:
+    """The files, those compressed as a whole unpacked into a folder that goes with the result."""
+    packed = [file for file in files if _head(file).startswith(ZSTD_MAGIC)]
+    if not packed:
+        return files, None
+    folder = tempfile.TemporaryDirectory(prefix="derail_")
+    places = {file: Path(folder.name) / file.name.removesuffix(".zstd") for file in packed}
+    for source, target in places.items():
+        with source.open("rb") as stream, target.open("wb") as unpacked:
+            try:
+                zstandard.ZstdDecompressor().copy_stream(stream, unpacked)
+            except zstandard.ZstdError as error:
+                raise NotABagError(f"{source}: {one_line(error)}") from None
+    return [places.get(file, file) for file in files], folder
 
 
-# --- MCAP from its beginning -----------------------------------------------------------------
-
-
-def _zstd() -> Any:
-    """The module that rosbags brings, which depends on its version and Python's."""
+def _mcap_channels(file: Path) -> tuple[list[Channel], str]:
+    """The topics of a file, and why it is not whole."""
     try:
-        from compression import zstd  # type: ignore[import-not-found,unused-ignore]
-    except ImportError:
-        try:
-            from backports import zstd  # type: ignore[no-redef,unused-ignore]
-        except ImportError:
-            import zstandard as zstd  # type: ignore[no-redef,unused-ignore]
-    return zstd
+        channels = mcap_file.indexed_channels(file)
+        if channels is not None:
+            return channels, ""
+    except Exception:  # whatever a damaged file makes mcap raise
+        return mcap_file.scanned_channels(file), "no index"
+    return mcap_file.scanned_channels(file), ""
 
 
-def _decompress(kind: str, data: bytes) -> bytes:
-    """What compressed data hold; of data that are cut off, what can still be had."""
-    if kind == "":
-        return data
-    decompressor: Any
-    if kind == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        decompressor = LZ4FrameDecompressor()
-    elif kind == "zstd":
-        zstd = _zstd()
-        decompressor = zstd.ZstdDecompressor()
-        if hasattr(decompressor, "decompressobj"):
-            decompressor = decompressor.decompressobj()
-    else:
-        raise ValueError(f"unknown compression {kind!r}")
-    return bytes(decompressor.decompress(data))
-
-
-class _CutOff(Exception):
-    """A record is cut off: what there is of it."""
-
-    def __init__(self, op: int = 0, data: bytes = b"") -> None:
-        super().__init__()
-        self.op = op
-        self.data = data
-
-
-def _records(stream: BinaryIO, end: int) -> Iterator[tuple[int, bytes]]:
-    """Operation code and content of the records up to ``end``; stops where one is cut off."""
-    while stream.tell() + 9 <= end:
-        head = stream.read(9)
-        op, size = head[0], struct.unpack_from("<Q", head, 1)[0]
-        if size > LARGEST_RECORD:
-            raise _CutOff
-        if stream.tell() + size > end:
-            raise _CutOff(op, stream.read(end - stream.tell()))
-        yield op, stream.read(size)
-    if stream.tell() != end:
-        raise _CutOff
-
-
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", data, at)
-    at += 4
-    if at + size > len(data):
-        raise ValueError("a text is cut off")
-    return data[at : at + size].decode("utf-8", "replace"), at + size
-
-
-class _Tables:
-    """Schemas and channels as they come."""
-
-    def __init__(self) -> None:
-        self.schemas: dict[int, tuple[str, str]] = {}
-        self.channels: dict[int, Channel] = {}
-
-    def take(self, op: int, data: bytes) -> Channel | None:
-        """Note a schema or channel; the channel if it is a new one."""
-        if op == 0x03:
-            (key,) = struct.unpack_from("<H", data)
-            name, at = _text(data, 2)
-            _, at = _text(data, at)
-            self.schemas[key] = (name, _text(data, at)[0])
-        elif op == 0x04:
-            key, schema = struct.unpack_from("<HH", data)
-            topic, at = _text(data, 4)
-            _, at = _text(data, at)
-            name, definition = self.schemas.get(schema, ("", ""))
-            metadata: dict[str, str] = {}
-            (size,) = struct.unpack_from("<I", data, at)
-            at += 4
-            end = at + size
-            while at < end:
-                k, at = _text(data, at)
-                metadata[k], at = _text(data, at)
-            if key not in self.channels:
-                self.channels[key] = Channel(
-                    topic,
-                    name,
-                    definition,
-                    _qos(metadata.get("offered_qos_profiles", "")),
-                    metadata.get("topic_type_hash", ""),
-                )
-                return self.channels[key]
-        return None
-
-
-def _qos(text: str) -> tuple[Any, ...]:
-    if not text:
-        return ()
-    from rosbags.rosbag2.metadata import parse_qos
-
+def _sqlite_channels(file: Path) -> tuple[list[Channel], str]:
+    journal = "the recorder did not end" if sqlite_file.companions(file) else ""
     try:
-        return tuple(parse_qos(text))
-    except Exception:  # a profile that this rosbags does not know is one we do without
-        return ()
-
-
-def _mcap(
-    file: Path, warn: Callable[[str], None], tables: _Tables
-) -> Iterator[tuple[int, bytes, int]]:
-    """Records in and outside chunks, each with the offset of its chunk."""
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        stream.seek(len(MCAP_MAGIC))
-        end = size - len(MCAP_MAGIC) if _ends_well(file) else size
-        try:
-            for op, data in _records(stream, end):
-                if op == 0x06:
-                    try:
-                        inner = _chunk(data)
-                    except Exception as error:  # damage may take any form
-                        warn(f"a damaged part was left out ({_line(error)})")
-                        continue
-                    for record in _records(io.BytesIO(inner), len(inner)):
-                        yield *record, stream.tell()
-                elif op in (0x03, 0x04, 0x05):
-                    yield op, data, stream.tell()
-                elif op == 0x0F:  # end of the data; what follows repeats
-                    return
-        except _CutOff as cut:
-            warn(f"{file.name} is cut off at its end")
-            if cut.op == 0x06:
-                for record in _rest(cut.data):
-                    yield *record, size
-
-
-def _rest(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Records of a chunk that is cut off."""
-    with suppress(Exception):  # it may end anywhere, also in the middle of what tells its form
-        inner = _chunk(data, whole=False)
-        yield from _records(io.BytesIO(inner), len(inner))
-
-
-def _chunk(data: bytes, whole: bool = True) -> bytes:
-    _, _, size, crc = struct.unpack_from("<QQQI", data)
-    if size > LARGEST_RECORD:
-        raise ValueError(f"of {size} bytes")
-    kind, at = _text(data, 28)
-    (packed,) = struct.unpack_from("<Q", data, at)
-    inner = _decompress(kind, data[at + 8 : at + 8 + packed])
-    if not whole:
-        return inner[:size]
-    if len(inner) != size:
-        raise ValueError("its size is wrong")
-    if crc and zlib.crc32(inner) != crc:
-        raise ValueError("its checksum is wrong")
-    return inner
-
-
-def _scan_mcap(
-    file: Path, wanted: Callable[[Channel], bool], warn: Callable[[str], None]
-) -> Iterator[Message]:
-    tables = _Tables()
-    chosen: dict[int, bool] = {}
-    for op, data, _ in _mcap(file, warn, tables):
-        if op != 0x05:
-            tables.take(op, data)
-            continue
-        key, _, stamp = struct.unpack_from("<HIQ", data)
-        channel = tables.channels.get(key)
-        if channel is None:
-            continue
-        if key not in chosen:
-            chosen[key] = wanted(channel)
-        if chosen[key]:
-            yield channel, stamp, data[22:]
-
-
-def _channels_mcap(file: Path, warn: Callable[[str], None]) -> list[Channel]:
-    """The channels of a file: all of them come before the first messages of our recordings."""
-    tables = _Tables()
-    first = None
-    for op, data, place in _mcap(file, lambda _: None, tables):
-        if op != 0x05:
-            tables.take(op, data)
-        elif first is None:
-            first = place
-        elif place > first + (1 << 22):
-            break
-    return list(tables.channels.values())
-
-
-# --- SQLite without metadata -----------------------------------------------------------------
-
-
-def _journal(file: Path) -> bool:
-    journal = file.with_name(file.name + "-journal")
-    return journal.exists() and journal.stat().st_size > 0
-
-
-class _Database:
-    """A connection to a recording that never writes to it.
-
-    With the journal of a killed writer beside it, SQLite must roll back before it can read: this
-    is done on a copy.
-    """
-
-    def __init__(self, file: Path) -> None:
-        self._copy: tempfile.TemporaryDirectory[str] | None = None
-        place = file
-        companions = [
-            file.with_name(file.name + s) for s in ("-journal", "-wal") if _exists(file, s)
-        ]
-        if companions:
-            self._copy = tempfile.TemporaryDirectory(prefix="derail_")
-            place = Path(self._copy.name) / file.name
-            shutil.copyfile(file, place)
-            for companion in companions:
-                shutil.copyfile(companion, place.with_name(companion.name))
-        mode = "rw" if companions else "ro"
-        self.connection = sqlite3.connect(f"{place.resolve().as_uri()}?mode={mode}", uri=True)
-        self.connection.text_factory = lambda b: b.decode("utf-8", "replace")
-
-    def __enter__(self) -> sqlite3.Connection:
-        return self.connection
-
-    def __exit__(self, *_: object) -> None:
-        self.connection.close()
-        if self._copy is not None:
-            self._copy.cleanup()
-
-
-def _exists(file: Path, suffix: str) -> bool:
-    companion = file.with_name(file.name + suffix)
-    return companion.exists() and companion.stat().st_size > 0
-
-
-def _sqlite_channels(database: sqlite3.Connection) -> dict[int, Channel]:
-    columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-    digest = "type_description_hash" if "type_description_hash" in columns else "''"
-    definitions: dict[str, str] = {}
-    with suppress(sqlite3.Error):
-        definitions = dict(
-            database.execute(
-                "SELECT topic_type, encoded_message_definition FROM message_definitions"
-            ).fetchall()
-        )
-    return {
-        key: Channel(topic, kind, definitions.get(kind, ""), _qos(profile), hashed or "")
-        for key, topic, kind, profile, hashed in database.execute(
-            f"SELECT id, name, type, {qos}, {digest} FROM topics"
-        )
-    }
-
-
-def _channels_sqlite(file: Path, warn: Callable[[str], None]) -> list[Channel]:
-    try:
-        with _Database(file) as database:
-            return list(_sqlite_channels(database).values())
+        return sqlite_file.channels(file), journal
     except sqlite3.Error as error:
-        raise NotABagError(f"{file}: {_line(error)}") from None
+        raise NotABagError(f"{file}: {one_line(error)}") from None
 
 
-def _scan_sqlite(
-    file: Path, wanted: Callable[[Channel], bool], warn: Callable[[str], None]
-) -> Iterator[Message]:
-    try:
-        with _Database(file) as database:
-            channels = {k: c for k, c in _sqlite_channels(database).items() if wanted(c)}
-            query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
-            with closing(database.execute(query)) as rows:
-                for key, stamp, data in rows:
-                    if key in channels:
-                        yield channels[key], stamp, data
-    except sqlite3.Error as error:
-        warn(f"damaged: {_line(error)}")
-
-
-# --- what it holds ---------------------------------------------------------------------------
+# --- what it holds -----------------------------------------------------------------------------
 
 PACKAGE = "derail_msgs/msg/"
 KNOWN_VERSION = 1
@@ -589,12 +357,12 @@ def check_version(bag: RawBag) -> None:
         if not channel.definition:
             continue
         try:
-            types = get_types_from_msg(_own_part(channel.definition), channel.msgtype)
-            constants, fields = types[channel.msgtype]
+            own_part = channel.definition.split("\n====", 1)[0]
+            constants, fields = get_types_from_msg(own_part, channel.msgtype)[channel.msgtype]
         except Exception as error:  # rosbags raises several kinds
             raise BagVersionError(
                 f"{bag.path}: the definition of {channel.msgtype} in it cannot be read"
-                f" ({_line(error)})"
+                f" ({one_line(error)})"
             ) from None
         version = next((value for name, _, value in constants if name == "INTERFACE_VERSION"), 0)
         expected = typestore().fielddefs[channel.msgtype][1]
@@ -604,11 +372,6 @@ def check_version(bag: RawBag) -> None:
                 f" {len(fields)} fields; this derail_ros reads version {KNOWN_VERSION} with"
                 f" {len(expected)}"
             )
-
-
-def _own_part(definition: str) -> str:
-    """A definition without those of the messages it uses."""
-    return definition.split("\n====", 1)[0]
 
 
 def topics_of(channels: Collection[Channel], namespace: str | None) -> tuple[str, list[str]]:

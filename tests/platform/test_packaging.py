@@ -22,7 +22,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("derail_ros", "msg_adapters")
 
 # rosdep keys of package.xml -> names at PyPI, where they differ from python3-NAME
-ROSDEP = {"python3-yaml": "pyyaml", "python3-rosbags-pip": "rosbags"}
+ROSDEP = {
+    "python3-mcap-pip": "mcap",
+    "python3-rosbags-pip": "rosbags",
+    "python3-yaml": "pyyaml",
+}
 # names at PyPI -> what is imported, where it differs
 IMPORTS = {"pyyaml": "yaml", "dask": "dask", "salib": "SALib"}
 # modules that a base dependency brings and that may be used with it
@@ -30,7 +34,7 @@ BROUGHT = {
     "matplotlib": {"PIL"},
     "numba": {"llvmlite"},
     "pydantic": {"pydantic_core", "annotated_types"},
-    "rosbags": {"lz4", "zstandard", "backports", "compression"},
+    "mcap": {"lz4", "zstandard"},
 }
 # what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
 NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros"}

@@ -1,18 +1,15 @@
-"""Recordings for the tests of reviewing, and a browser for those of the replay page."""
+"""A browser for the tests of the replay page, and recordings for all of reviewing."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from derail_ros.recording import record_run
-from derail_ros.recording.reader import Run, read_bag
 from tests.conftest import BROWSER, UNCHECKED
-from tests.nodes.support import simulation, small
+from tests.recordings import bag, run, sqlite_bag  # noqa: F401
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 DRIVERS = ("chromedriver", "chromium.chromedriver")
@@ -54,28 +51,6 @@ def start_browser(*arguments: str, size: tuple[int, int] = (1300, 950)) -> Any:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     return webdriver.Chrome(options=options, service=Service(found[1]))
-
-
-@pytest.fixture(scope="session")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of ten cars over a broken rail."""
-    path = tmp_path_factory.mktemp("bags") / "small"
-    record_run(simulation(), small(), path)
-    return path
-
-
-@pytest.fixture(scope="session")
-def sqlite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same in the other storage."""
-    path = tmp_path_factory.mktemp("bags") / "small_sqlite"
-    record_run(simulation(), small(), path, storage="sqlite3")
-    return path
-
-
-@pytest.fixture(scope="session")
-def run(bag: Path) -> Run:
-    """The recording as arrays."""
-    return read_bag(bag)
 
 
 @pytest.fixture(scope="module")

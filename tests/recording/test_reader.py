@@ -10,10 +10,15 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import mcap.reader
+import mcap.writer
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+import yaml
+import zstandard
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from derail_ros.recording import reader as module
 from derail_ros.recording.reader import (
@@ -119,6 +124,87 @@ def test_a_file_a_folder_and_a_folder_around_it_are_found(run, bag, tmp_path) ->
     assert not alone.warnings
     shutil.copytree(bag, tmp_path / "results" / "recording")
     assert len(read_bag(tmp_path / "results").time) == len(run.time)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("place", ["file", "folder"])
+def test_compressed_as_a_file(run, bag, sqlite_bag, tmp_path, storage, place) -> None:
+    """As rosbag2 writes it with ``--compression-mode file --compression-format zstd``."""
+    source = bag if storage == "mcap" else sqlite_bag
+    (file,) = [f for f in source.iterdir() if f.suffix in (".mcap", ".db3")]
+    packed = tmp_path / f"{file.name}.zstd"
+    packed.write_bytes(zstandard.compress(file.read_bytes()))
+    if place == "folder":
+        info = yaml.safe_load((source / "metadata.yaml").read_text())
+        inner = info["rosbag2_bagfile_information"]
+        inner |= {"compression_mode": "FILE", "compression_format": "zstd"}
+        inner["relative_file_paths"] = [packed.name]
+        (tmp_path / "metadata.yaml").write_text(yaml.safe_dump(info))
+    found = read_bag(packed if place == "file" else tmp_path)
+    assert found.storage == storage and found.size == packed.stat().st_size
+    assert np.array_equal(found.pose, run.pose)
+    assert found.path == (packed if place == "file" else tmp_path)
+    assert not found.warnings
+
+
+def test_a_compressed_file_that_is_cut_off(run, bag, tmp_path) -> None:
+    data = zstandard.compress(next(bag.glob("*.mcap")).read_bytes())
+    (tmp_path / "cut.mcap.zstd").write_bytes(data[: len(data) // 2])
+    found = read_bag(tmp_path / "cut.mcap.zstd")
+    assert 0 < len(found.time) < len(run.time)
+    assert np.array_equal(found.pose, run.pose[: len(found.time)])
+    whole = repair(tmp_path / "cut.mcap.zstd")
+    assert whole.path == tmp_path / "cut_repaired"
+    assert np.array_equal(read_bag(whole.path).pose, found.pose)
+
+
+def test_each_message_compressed(run, bag, tmp_path) -> None:
+    path = tmp_path / "messages"
+    writer = Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    topics: dict[str, Any] = {}
+    with writer:
+        for topic, msgtype, stamp, data in rows_of(bag):
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, msgtype, typestore=typestore())
+            writer.write(topics[topic], stamp, data)
+    assert np.array_equal(read_bag(path).pose, run.pose)
+
+
+@pytest.mark.parametrize("compression", list(mcap.writer.CompressionType))
+@pytest.mark.parametrize("kind", ["indexed", "without index", "without chunks", "cut off"])
+def test_mcap_as_others_write_it(run, bag, tmp_path, compression, kind) -> None:
+    file = tmp_path / "other.mcap"
+    writer = mcap.writer.Writer(
+        str(file),
+        compression=compression,
+        use_chunking=kind != "without chunks",
+        use_summary_offsets=kind == "indexed",
+        use_statistics=kind == "indexed",
+        repeat_channels=kind == "indexed",
+        repeat_schemas=kind == "indexed",
+        index_types=mcap.writer.IndexType.ALL if kind == "indexed" else mcap.writer.IndexType.NONE,
+    )
+    writer.start("ros2", "another recorder")
+    topics = {}
+    for topic, msgtype, stamp, data in rows_of(bag):
+        if topic not in topics:
+            schema = writer.register_schema(
+                msgtype, "ros2msg", read_copy().get(msgtype, "").encode()
+            )
+            topics[topic] = writer.register_channel(topic, "cdr", schema)
+        writer.add_message(topics[topic], stamp, data, stamp)
+    writer.finish()
+    if kind == "cut off":
+        data = file.read_bytes()
+        file.write_bytes(data[: 2 * len(data) // 3])
+    found = read_bag(file)
+    assert np.array_equal(found.pose, run.pose[: len(found.time)])
+    if kind == "cut off":
+        assert any("derail repair" in w for w in found.warnings)
+        assert len(found.time) > 0.5 * len(run.time)
+    else:
+        assert len(found.time) == len(run.time) and not found.warnings
 
 
 # --- bad ones --------------------------------------------------------------------------------
@@ -271,6 +357,21 @@ def test_a_damaged_middle_ends_in_arrays_or_a_line(run, bag, tmp_path, filling) 
         assert len(found.time) < len(run.time)
 
 
+def test_behind_a_broken_record_the_index_leads_on(run, bag, tmp_path) -> None:
+    shutil.copytree(bag, tmp_path / "damaged")
+    (file,) = (tmp_path / "damaged").glob("*.mcap")
+    with file.open("rb") as stream:
+        chunks = mcap.reader.make_reader(stream).get_summary().chunk_indexes
+    data = bytearray(file.read_bytes())
+    start = chunks[0].chunk_start_offset
+    data[start + 1 : start + 9] = b"\xff" * 8  # the length of the first chunk
+    file.write_bytes(data)
+    whole = repair(tmp_path / "damaged")
+    assert any("damaged at byte" in w for w in whole.warnings)
+    kept = open_bag(whole.path).span()
+    assert kept is not None and kept[1] == chunks[-1].message_end_time
+
+
 def test_any_cut_ends_in_arrays_or_a_line(bag, tmp_path) -> None:
     data = next(bag.glob("*.mcap")).read_bytes()
     place = tmp_path / "cut.mcap"
@@ -344,7 +445,7 @@ def test_nothing_to_repair_and_nothing_written(bag, tmp_path, capsys) -> None:
     file.write_bytes(data)
     assert main(["repair", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert "nothing to repair" not in said.out and "damaged" in said.err
+    assert ": nothing to repair" not in said.out and "damaged" in said.err
     whole = repair(tmp_path / "out" / "recording_repaired")
     assert whole.was_whole and 0 < sum(whole.counts.values()) < sum(repair(bag).counts.values())
 
