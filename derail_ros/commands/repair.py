@@ -25,6 +25,6 @@ def run(bag: str, output: Path | None) -> int:
         return OK
     print(
         f"{done.path}: {count(total, 'message')} on {count(len(done.counts), 'topic')},"
-        f" {done.first * 1e-9:.2f} s to {done.last * 1e-9:.2f} s"
+        f" {done.span[0] * 1e-9:.2f} s to {done.span[1] * 1e-9:.2f} s"
     )
     return OK

@@ -12,22 +12,22 @@ from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
-    from derail_ros.recording.recomputation import Told
+    from derail_ros.recording.recomputation import RecordedRun
 
 
 def run(place: str, as_json: bool) -> int:
     """Replay and compare; the exit code."""
-    from derail_ros.recording.recomputation import as_plain, engine_differs, replay
+    from derail_ros.recording.recomputation import engine_differs, recompute
     from derail_ros.scenario import ScenarioError
     from derail_ros.vocabulary.errors import ParameterError
 
-    manifest, told = _found(Path(place))
+    manifest, recorded = _found(Path(place))
     other = engine_differs(manifest)
     if other:
         note("derail: another version of the engine computed this: the bits may differ")
     common.warm_up()
     try:
-        results = replay(manifest, told)
+        results = recompute(manifest, recorded)
     except (ScenarioError, ParameterError, KeyError, TypeError, IndexError) as error:
         raise CommandFailure(f"{place}: {error}") from None
     same = not any(result.differences for result in results)
@@ -36,7 +36,7 @@ def run(place: str, as_json: bool) -> int:
             {
                 "same": same,
                 "same_engine": not other,
-                "runs": [as_plain(result) for result in results],
+                "runs": [result.plain() for result in results],
             }
         )
     else:
@@ -47,19 +47,19 @@ def run(place: str, as_json: bool) -> int:
     return OK if same else FAILED
 
 
-def _found(path: Path) -> tuple[Manifest, dict[str, Told] | None]:
+def _found(path: Path) -> tuple[Manifest, dict[str, RecordedRun] | None]:
     """Manifest and messages at a place: a recording as all commands take it, or a manifest.
 
     Of a recording without the file its messages tell scenario and commands.
     """
     from derail_ros.recording.manifest import FILE_NAME
-    from derail_ros.recording.recomputation import manifest_of, needed, told_by
+    from derail_ros.recording.recomputation import is_needed, manifest_of, recorded_runs
     from derail_ros.recording.storage import BagError, NotABagError, check_version, open_bag
 
     if path.suffix == ".json":
         manifest = _manifest(path)
         try:
-            return manifest, told_by(open_bag(path.parent).messages(needed))
+            return manifest, recorded_runs(open_bag(path.parent).messages(is_needed))
         except BagError:
             return manifest, None
     try:
@@ -72,7 +72,7 @@ def _found(path: Path) -> tuple[Manifest, dict[str, Told] | None]:
         raise CommandFailure(str(error)) from None
     with bag_errors():
         check_version(raw)
-        messages = list(raw.messages(needed))
+        messages = list(raw.messages(is_needed))
     beside = raw.path / FILE_NAME  # one beside a file alone may be that of another
     if raw.path.is_dir() and beside.is_file():
         manifest = _manifest(beside)
@@ -82,7 +82,7 @@ def _found(path: Path) -> tuple[Manifest, dict[str, Told] | None]:
             note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
     if not manifest.runs:
         raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
-    return manifest, told_by(messages)
+    return manifest, recorded_runs(messages)
 
 
 def _manifest(path: Path) -> Manifest:

@@ -1,13 +1,12 @@
-"""What the ``recorder`` node does with what it hears; no ROS in here.
+"""What the ``recorder`` node does with the messages it receives; no ROS in here.
 
-A listener can miss messages, unlike the simulator's own recording. It counts what it missed in
-two ways: by the numbers that the middleware gives to the messages of each publisher, and by the
-regular times of the state messages.
+A subscriber can miss messages, unlike the simulator's own recording. The listener counts what it
+missed in two ways: by the sequence numbers that the middleware gives to the messages of each
+publisher, and by the regular times of the state messages.
 """
 
 from __future__ import annotations
 
-import heapq
 import math
 import os
 import time
@@ -16,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from derail_ros.recording.gathered import gather
+from derail_ros.recording.derived_manifest import add_message
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
@@ -24,21 +23,19 @@ from msg_adapters.definitions import deserialize
 from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
 
 HOLD = 2.0
-"""Wall time for which other messages wait for the latched ones, s."""
-ORDER = 0.25
-"""Wall time for which messages wait for earlier ones of other topics, s."""
+"""Longest wall time for which other messages wait for the train and the track, s."""
 STRAGGLERS = 2.0
-"""Wall time for which an old recording stays open for what comes late, s."""
+"""Wall time for which an old recording stays open for late messages, s."""
 BACKWARD = NANOSECONDS
-"""Simulation time that jumps back further than this (ns) has begun anew."""
+"""Simulation time that jumps back by more than this has begun anew, ns."""
 STOPPED = 5
-"""Status of an outcome (``derail_msgs/Outcome``) that a command has ended."""
+"""Status in ``derail_msgs/Outcome`` of a run that a command has ended."""
 IDLE_TOPICS = ("/diagnostics", "/clock", "markers")
-"""Topics that go on while nothing happens."""
+"""Topics that are published while nothing happens."""
 
 
 def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
-    """Simulation time of a serialised message, ns."""
+    """Simulation time of a serialised message, ns; ``otherwise`` if it carries none."""
     if topic.msgtype == "visualization_msgs/msg/MarkerArray":
         # After the encapsulation a count, then markers that begin with a header.
         return stamp_of_bytes(data[:4] + data[8:16]) if len(data) > 24 else otherwise
@@ -48,7 +45,7 @@ def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
 
 
 def message_run(topic: Topic, data: bytes) -> str:
-    """Identity of the run that a serialised message belongs to, "" if it does not say."""
+    """Identity of the run that a serialised message belongs to, "" if it has none."""
     if not topic.msgtype.startswith("derail_msgs/"):
         return ""
     order = "little" if data[1] & 1 else "big"
@@ -64,14 +61,17 @@ def message_run(topic: Topic, data: bytes) -> str:
 
 
 @dataclass
-class Heard:
-    """What was heard of a topic.
+class TopicCount:
+    """Messages of one topic.
 
     Attributes
     ----------
-    received : messages
-    lost : messages that the middleware's numbers show to be missing
-    stamps : times of the messages, ns (state topics)
+    received
+        Number of messages that arrived.
+    lost
+        Number of messages that are missing by the middleware's sequence numbers.
+    stamps
+        Times of the messages, ns (state topics only).
     """
 
     received: int = 0
@@ -88,80 +88,61 @@ class Heard:
         return before + sum(round(pair / interval) - 1 for pair in pairs)
 
 
-class _Bag:
-    """One recording and what is known of its runs."""
+class _OpenRecording:
+    """One recording being written, and the runs in it."""
 
     def __init__(self, path: Path, storage: str, topics: Mapping[str, Topic]) -> None:
         first = next(iter(topics), "/")
         manifest_topic = f"{first.rpartition('/')[0]}/{MANIFEST.name}"
         self.topics = topics
-        self.recorder = RunRecorder(path, storage, {manifest_topic: MANIFEST, **topics}, 0)
+        # Stamps do not bound how late a message may arrive: order by wall time alone.
+        self.recorder = RunRecorder(
+            path, storage, {manifest_topic: MANIFEST, **topics}, late=math.inf
+        )
         self.manifest = Manifest(settings={"recorded_by": "listener", "storage": storage})
-        self.heard = {name: Heard() for name in topics}
+        self.counts = {name: TopicCount() for name in topics}
         self.runs: set[str] = set()
         self.last_stamp = 0
         self._awaited = {n for n, t in topics.items() if t.name in ("consist", "track")}
         self._held: list[tuple[str, int, bytes]] | None = []
-        self._hold_until: float | None = None
-        self._waiting: list[tuple[int, int, float, str, bytes]] = []
-        self._taken = 0
+        self._hold_until = math.inf
 
     def write(self, name: str, stamp: int, data: bytes, now: float) -> None:
-        """Write a message, or hold it back until the latched topics have come."""
+        """Write a message, or hold it until the train and the track have arrived."""
         topic = self.topics[name]
-        heard = self.heard[name]
-        heard.received += 1
+        counted = self.counts[name]
+        counted.received += 1
         if topic.name in STATE_TOPICS:
-            heard.stamps.append(stamp)
+            counted.stamps.append(stamp)
             self.last_stamp = max(self.last_stamp, stamp)
-        gather(self.manifest, topic.msgtype, data)
+        add_message(self.manifest, topic.msgtype, data)
         if self._held is None:
-            # Taking is quick, so that no publisher runs ahead; writing is done in release.
-            self._queue(name, stamp, data, now)
+            self.recorder.write(name, stamp, data)
             return
-        if self._hold_until is None:
-            self._hold_until = now + HOLD
+        self._hold_until = min(self._hold_until, now + HOLD)
         self._held.append((name, stamp, data))
         self.release(now)
 
     def release(self, now: float) -> None:
-        """Write what has waited long enough: first the latched topics, then by time."""
-        held, until = self._held, self._hold_until
-        if (
-            held is not None
-            and until is not None
-            and (now >= until or self._awaited <= {name for name, _, _ in held})
-        ):
+        """Write held messages whose wait has ended, latched topics first."""
+        if self._held is None:
+            return
+        if now >= self._hold_until or self._awaited <= {name for name, _, _ in self._held}:
+            for message in sorted(self._held, key=lambda m: not self.topics[m[0]].latched):
+                self.recorder.write(*message)
             self._held = None
-            for message in sorted(held, key=lambda m: not self.topics[m[0]].latched):
-                self._queue(*message, now)
-        self._write_until(now - ORDER)
-
-    def _queue(self, name: str, stamp: int, data: bytes, now: float) -> None:
-        """Put a message in its place; those of equal times stay in the order they came in."""
-        self._taken += 1
-        heapq.heappush(self._waiting, (stamp, self._taken, now, name, data))
-
-    def _write_until(self, moment: float) -> None:
-        """Write what came before a moment (wall time), and what is earlier than that."""
-        while self._waiting and self._waiting[0][2] <= moment:
-            stamp, _, _, name, data = heapq.heappop(self._waiting)
-            self.recorder.write(name, stamp, data)
 
     def report(self) -> dict[str, dict[str, int]]:
         """Messages received and missed, by topic."""
         start = self.manifest.runs[0].start_time if self.manifest.runs else None
         return {
-            name: {"received": h.received, "lost": h.lost, "gaps": h.gaps(start)}
-            for name, h in self.heard.items()
+            name: {"received": c.received, "lost": c.lost, "gaps": c.gaps(start)}
+            for name, c in self.counts.items()
         }
 
     def close(self) -> None:
-        """Close the recording whole."""
-        if self._held:
-            self._hold_until = 0.0
-            self.release(0.0)
-        self._write_until(math.inf)
+        """Write the rest, the index and the manifest."""
+        self.release(math.inf)
         self.manifest.settings["missed"] = self.report()
         self.recorder.close(self.manifest)
 
@@ -175,6 +156,13 @@ class Listener:
         Of the recording; when simulation time begins anew a second one gets the suffix ``_1``.
     topics
         Absolute name -> topic.
+
+    Attributes
+    ----------
+    closed
+        Folders of the recordings that are closed.
+    reports
+        Of each closed recording: messages received and missed, by topic.
     """
 
     def __init__(
@@ -189,123 +177,125 @@ class Listener:
         self.final_stamp: int | None = None
         self.final_time = 0.0
         self._numbers: dict[tuple[str, bytes], int] = {}
-        self._bags = 0
-        self._bag = self._open()
-        self._old: tuple[_Bag, float] | None = None
+        self._opened = 0
+        self._current = self._open()
+        self._old: _OpenRecording | None = None
+        self._old_until = 0.0
 
-    def _open(self) -> _Bag:
+    def _open(self) -> _OpenRecording:
         path = self.path
-        if self._bags:
-            path = path.with_name(f"{path.name}_{self._bags}")
-        self._bags += 1
-        return _Bag(path, self.storage, self.topics)
+        if self._opened:
+            path = path.with_name(f"{path.name}_{self._opened}")
+        self._opened += 1
+        return _OpenRecording(path, self.storage, self.topics)
 
     # --- messages ----------------------------------------------------------------------------
 
     def take(self, name: str, data: bytes, info: Mapping[str, Any]) -> None:
-        """Take a message as it came: topic, CDR bytes, what the middleware says of it."""
+        """Take a message: topic, CDR bytes, what the middleware says of it."""
         topic = self.topics[name]
         now = time.monotonic()
-        stamp = message_stamp(topic, data, self._bag.last_stamp)
-        bag = self._bag_of(topic, message_run(topic, data), stamp, now)
-        bag.heard[name].lost += self._missing(name, info)
-        bag.write(name, stamp, data, now)
+        stamp = message_stamp(topic, data, self._current.last_stamp)
+        recording = self._recording_of(topic, message_run(topic, data), stamp, now)
+        recording.counts[name].lost += self._missing(name, info)
+        recording.write(name, stamp, data, now)
         if topic.name not in IDLE_TOPICS:
             self.last_time = now
-        if topic.name == "outcome" and bag is self._bag:
-            self._look_for_the_end(data, now)
+        if topic.name == "outcome" and recording is self._current:
+            message = deserialize(data, topic.msgtype)
+            final = message.is_final and message.status != STOPPED
+            self.final_stamp = stamp_of(message) if final else None
+            self.final_time = now
 
-    def _bag_of(self, topic: Topic, run_id: str, stamp: int, now: float) -> _Bag:
+    def _recording_of(self, topic: Topic, run_id: str, stamp: int, now: float) -> _OpenRecording:
         """The recording that a message belongs to; a new one when time has begun anew.
 
-        Topics come in no order among each other: a message of the old run may come after the
+        Topics arrive in no order among each other: a message of the old run may arrive after the
         first one of the new.
         """
-        bag = self._bag
-        anew = stamp < bag.last_stamp - BACKWARD
+        current, old = self._current, self._old
+        anew = stamp < current.last_stamp - BACKWARD
         if run_id:
-            if run_id in bag.runs:
-                return bag
-            if self._old is not None and run_id in self._old[0].runs:
-                return self._old[0]
-            if anew and bag.runs:
-                bag = self._roll(now)
-            bag.runs.add(run_id)
-            return bag
-        if topic.name in (*STATE_TOPICS, "markers"):
+            if run_id in current.runs:
+                return current
+            if old is not None and run_id in old.runs:
+                return old
+            if anew and current.runs:
+                current = self._begin_anew(now)
+            current.runs.add(run_id)
+        elif topic.name in (*STATE_TOPICS, "markers"):
             if anew:
-                return self._roll(now)
-            if self._old is not None and stamp > bag.last_stamp + BACKWARD:
-                return self._old[0]
-        return bag
+                return self._begin_anew(now)
+            if old is not None and stamp > current.last_stamp + BACKWARD:
+                return old
+        return current
 
-    def _roll(self, now: float) -> _Bag:
-        """Simulation time has begun anew: go on in a new recording."""
+    def _begin_anew(self, now: float) -> _OpenRecording:
+        """Go on in a new recording."""
         self._close_old()
-        self._old = (self._bag, now + STRAGGLERS)
-        self._bag = self._open()
+        self._old, self._old_until = self._current, now + STRAGGLERS
+        self._current = self._open()
         self.final_stamp = None
-        return self._bag
+        return self._current
 
     def _missing(self, name: str, info: Mapping[str, Any]) -> int:
-        """Number of messages that a publisher has sent since its last one that came."""
+        """Number of messages that a publisher has sent since its last one that arrived."""
         number = info.get("publication_sequence_number")
         if not number:
             return 0
         publisher = info.get("publisher_gid")
         identity = publisher.get("data", b"") if isinstance(publisher, Mapping) else b""
         key = (name, bytes(identity))
-        last = self._numbers.get(key)
+        last = self._numbers.get(key, number)
         self._numbers[key] = number
-        return 0 if last is None else max(0, number - last - 1)
+        return max(0, number - last - 1)
 
     def release(self) -> None:
-        """Do what time has come for: held messages, an old recording."""
+        """Write held messages and close an old recording when their time has come."""
         now = time.monotonic()
-        self._bag.release(now)
-        if self._old is not None and now >= self._old[1]:
+        self._current.release(now)
+        if now >= self._old_until:
             self._close_old()
 
     # --- the end -----------------------------------------------------------------------------
 
     @property
     def empty(self) -> bool:
-        """Whether nothing has come so far."""
-        return self._bags == 1 and not any(h.received for h in self._bag.heard.values())
-
-    def _look_for_the_end(self, data: bytes, now: float) -> None:
-        message = deserialize(data, "derail_msgs/msg/Outcome")
-        final = message.is_final and message.status != STOPPED
-        self.final_stamp = stamp_of(message) if final else None
-        self.final_time = now
+        """Whether no message has arrived so far."""
+        return self._opened == 1 and not any(c.received for c in self._current.counts.values())
 
     def complete(self, settle: float) -> bool:
-        """Whether the final outcome is there, and the last states, and nothing more comes."""
+        """Whether the final outcome and the last states are there, and nothing more arrives.
+
+        Parameters
+        ----------
+        settle
+            Wall time without a new message after which nothing more is expected, s.
+        """
         if self.final_stamp is None:
             return False
         now = time.monotonic()
         reached = all(
-            not heard.stamps or heard.stamps[-1] >= self.final_stamp
-            for name, heard in self._bag.heard.items()
-            if self.topics[name].name in STATE_TOPICS
+            not counted.stamps or counted.stamps[-1] >= self.final_stamp
+            for counted in self._current.counts.values()
         )
         # The states of a failed run never reach its outcome: then quiet decides.
         return (reached and now >= self.final_time + settle) or (
             now >= self.last_time + 4.0 * settle
         )
 
-    def _finish(self, bag: _Bag) -> None:
-        bag.close()
-        self.closed.append(bag.recorder.path)
-        self.reports.append(bag.report())
+    def _finish(self, recording: _OpenRecording) -> None:
+        recording.close()
+        self.closed.append(recording.recorder.path)
+        self.reports.append(recording.report())
 
     def _close_old(self) -> None:
         if self._old is not None:
-            self._finish(self._old[0])
+            self._finish(self._old)
             self._old = None
 
     def close(self) -> None:
-        """Close the recordings whole."""
+        """Close all recordings."""
         self._close_old()
-        if self._bag.recorder.path not in self.closed:
-            self._finish(self._bag)
+        if self._current.recorder.path not in self.closed:
+            self._finish(self._current)

@@ -64,8 +64,8 @@ class RunRecorder:
         announced at the beginning, latched ones first, so a topic without messages is there too.
         Default: those that the simulator records.
     late
-        Simulation time (ns) for which messages wait for earlier ones, so that the file is in order
-        of time.
+        Simulation time for which messages wait for earlier ones, so that the file is in order of
+        time, ns. They wait no longer than half a second of wall time.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class RunRecorder:
         path: str | os.PathLike[str],
         storage: str = "mcap",
         topics: dict[str, Topic] | None = None,
-        late: int = LATE,
+        late: float = LATE,
     ) -> None:
         if storage not in STORAGE:
             raise RecordingError(f"storage must be one of {', '.join(STORAGE)}, not {storage!r}")

@@ -1,4 +1,4 @@
-"""Recordings made whole: all messages that can still be read, in a new recording."""
+"""Damaged recordings written anew, with all messages that can still be read."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from derail_ros.recording.channels import Channel, Message, Span
+from derail_ros.recording.derived_manifest import SOURCES, derive_manifest
 from derail_ros.recording.files import add_topic, bag_writer
-from derail_ros.recording.gathered import TELLING, gathered
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
-from derail_ros.recording.storage import BagError, Channel, RawBag, open_bag
+from derail_ros.recording.storage import BagError, RawBag, open_bag
 from msg_adapters.definitions import deserialize, typestore
 from msg_adapters.reports import jsonable
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
@@ -20,40 +21,68 @@ from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
 @dataclass(frozen=True)
 class Repaired:
-    """What a repair has done.
+    """Result of a repair.
 
     Attributes
     ----------
-    path : the new recording; the old one if there was nothing to repair
-    counts : messages by topic
-    first, last : their first and last time, ns
-    warnings : what could not be read
-    was_whole : there was nothing to repair: nothing was written
+    path
+        The new recording; the old one if it was whole.
+    counts
+        Messages by topic.
+    span
+        Their first and last time, ns.
+    warnings
+        What could not be read.
+    was_whole
+        There was nothing to repair and nothing was written.
     """
 
     path: Path
     counts: dict[str, int]
-    first: int
-    last: int
+    span: Span
     warnings: tuple[str, ...]
     was_whole: bool
 
 
+class _Tally:
+    """Counts the messages that pass through."""
+
+    def __init__(self, raw: RawBag) -> None:
+        self.raw = raw
+        self.counts: Counter[str] = Counter()
+        self.first, self.last = 2**63 - 1, 0
+
+    def __iter__(self) -> Any:
+        for message in self.raw.messages():
+            channel, stamp, _ = message
+            self.counts[channel.topic] += 1
+            self.first, self.last = min(self.first, stamp), max(self.last, stamp)
+            yield message
+
+    def result(self, path: Path, was_whole: bool = False) -> Repaired:
+        warnings = tuple(w for w in self.raw.warnings if "derail repair" not in w)
+        return Repaired(path, dict(self.counts), (self.first, self.last), warnings, was_whole)
+
+
 def repair(bag: str | Path, output: Path | None = None) -> Repaired:
-    """Write all that can be read of a recording into a new one; the old one stays as it is.
+    """Write all that can be read of a recording into a new one; the old one is not changed.
 
     Raises
     ------
     BagError
-        If there is nothing to read, or the new one cannot be written.
+        If no message can be read, or the new recording cannot be written.
     """
     from rosbags.rosbag2 import WriterError
 
     found = open_bag(bag)
-    # Without index and metadata nothing that the file holds is left out.
+    # Reading without index and metadata leaves out nothing that the files hold.
     raw = dataclasses.replace(found, intact=False)
-    if found.intact and (whole := _whole(raw)) is not None:
-        return whole
+    if found.intact:
+        whole = _Tally(raw)
+        for _ in whole:
+            pass
+        if not raw.warnings and whole.counts:
+            return whole.result(raw.path, was_whole=True)
     folder = raw.path
     if folder.is_file():
         folder = folder.with_name(folder.name.removesuffix(".zstd")).with_suffix("")
@@ -65,53 +94,44 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
         writer.open()
     except (WriterError, OSError) as error:
         raise BagError(f"{target}: {error}") from None
-    counts: Counter[str] = Counter()
-    manifest: dict[str, Any] | None = None
-    telling: list[tuple[Channel, int, bytes]] = []
-    first, last = 2**63 - 1, 0
-    connections = {(c.topic, c.msgtype): _connect(writer, c) for c in raw.channels}
+    tally = _Tally(raw)
     try:
-        for channel, stamp, data in raw.messages():
-            key = (channel.topic, channel.msgtype)
-            if key not in connections:
-                connections[key] = _connect(writer, channel)
-            writer.write(connections[key], stamp, data)
-            counts[channel.topic] += 1
-            first, last = min(first, stamp), max(last, stamp)
-            if channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype:
-                manifest = _manifest(data) or manifest
-            if channel.msgtype in TELLING:
-                telling.append((channel, stamp, data))
-        if not counts:
-            raise BagError(f"{raw.path}: no message in it can be read")
-        if manifest is None and (runs := gathered(telling)).runs:
-            manifest = dataclasses.asdict(runs)
-        if manifest is not None:
-            manifest.setdefault("settings", {})["repaired"] = True
-            manifest["messages"] = dict(counts)
-            manifest = jsonable(manifest)  # Python reads the NaN that JSON does not have
-            writer.set_custom_data(CUSTOM_DATA, json.dumps(manifest, indent=1, allow_nan=False))
+        text = _copy(tally, writer)
+        if text is not None:
+            writer.set_custom_data(CUSTOM_DATA, text)
         writer.close()
     except BaseException:
         writer.abort()
         raise
-    if manifest is not None:
-        text = json.dumps(manifest, indent=1, allow_nan=False)
+    if text is not None:
         (target / FILE_NAME).write_text(text + "\n", encoding="utf-8")
-    warnings = tuple(w for w in raw.warnings if "derail repair" not in w)
-    return Repaired(target, dict(counts), first, last, warnings, False)
+    return tally.result(target)
 
 
-def _whole(raw: RawBag) -> Repaired | None:
-    """The account of a recording with index and metadata, ``None`` if it is damaged inside."""
-    counts: Counter[str] = Counter()
-    first, last = 2**63 - 1, 0
-    for channel, stamp, _ in raw.messages():
-        counts[channel.topic] += 1
-        first, last = min(first, stamp), max(last, stamp)
-    if raw.warnings or not counts:
+def _copy(tally: _Tally, writer: Any) -> str | None:
+    """Write all messages; the manifest as JSON, ``None`` if neither it nor a run is left."""
+    manifest: dict[str, Any] | None = None
+    sources: list[Message] = []
+    connections = {(c.topic, c.msgtype): _connect(writer, c) for c in tally.raw.channels}
+    for channel, stamp, data in tally:
+        key = (channel.topic, channel.msgtype)
+        if key not in connections:
+            connections[key] = _connect(writer, channel)
+        writer.write(connections[key], stamp, data)
+        if channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype:
+            manifest = _manifest(data) or manifest
+        elif channel.msgtype in SOURCES:
+            sources.append((channel, stamp, data))
+    if not tally.counts:
+        raise BagError(f"{tally.raw.path}: no message in it can be read")
+    if manifest is None and (derived := derive_manifest(sources)).runs:
+        manifest = dataclasses.asdict(derived)
+    if manifest is None:
         return None
-    return Repaired(raw.path, dict(counts), first, last, (), True)
+    manifest.setdefault("settings", {})["repaired"] = True
+    manifest["messages"] = dict(tally.counts)
+    # Python reads the NaN that JSON does not have.
+    return json.dumps(jsonable(manifest), indent=1, allow_nan=False)
 
 
 def _manifest(data: bytes) -> dict[str, Any] | None:
@@ -123,12 +143,12 @@ def _manifest(data: bytes) -> dict[str, Any] | None:
 
 
 def _connect(writer: Any, channel: Channel) -> Any:
-    """Announce a topic as it was; what the recording does not say comes from our own table."""
+    """Announce a topic as it was; our own table says what the recording does not."""
     qos = list(channel.qos)
-    known = TOPICS.get(channel.name) or (MANIFEST if channel.name == MANIFEST.name else None)
+    known = MANIFEST if channel.name == MANIFEST.name else TOPICS.get(channel.name)
     if not qos and known is not None:
         qos = [bag_qos(known)]
-    if channel.msgtype in typestore().fielddefs:
+    if not channel.definition and channel.msgtype in typestore().fielddefs:
         return add_topic(writer, channel.topic, channel.msgtype, qos)
     return writer.add_connection(
         channel.topic,

@@ -16,7 +16,12 @@ from typing import Any
 import pytest
 
 from derail_ros.recording.reader import Run, read_bag
-from derail_ros.recording.recomputation import manifest_of, needed, replay, told_by
+from derail_ros.recording.recomputation import (
+    is_needed,
+    manifest_of,
+    recompute,
+    recorded_runs,
+)
 from derail_ros.recording.repair import repair
 from derail_ros.recording.storage import open_bag
 
@@ -179,8 +184,8 @@ def test_energy_and_commands(run: Run, expected: dict[str, Any]) -> None:
 
 def test_it_is_computed_again(folder: Path, name: str) -> None:
     """With its commands, to the same end; the bits are those of the machine that recorded it."""
-    messages = list(open_bag(folder / name).messages(needed))
-    (found,) = replay(manifest_of(messages), told_by(messages))
+    messages = list(open_bag(folder / name).messages(is_needed))
+    (found,) = recompute(manifest_of(messages), recorded_runs(messages))
     assert found.status == ("time limit" if name == "simulated_curve" else "at rest")
     assert found.commands == (2 if name == "node_curve_commands" else 0)
     assert found.events and found.contacts is not None

@@ -1,7 +1,7 @@
-"""The manifest of a recording without one, gathered from its messages.
+"""The manifest of a recording that has none, derived from its messages.
 
-The train's message holds the scenario with all defaults and the versions, the command log what
-was asked for, and the outcome how far the run went: the same that a listener goes by.
+The message of the train holds the scenario with all defaults and the versions, the command log
+the commands, and the outcome how far the run went. A listener uses the same messages.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from derail_ros.recording.channels import Message
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.scenario import ScenarioError, loads_scenario
 from msg_adapters.common import stamp_of
@@ -19,13 +20,13 @@ from msg_adapters.definitions import deserialize
 CONSIST = "derail_msgs/msg/Consist"
 COMMAND_LOG = "derail_msgs/msg/CommandLog"
 OUTCOME = "derail_msgs/msg/Outcome"
-TELLING = (CONSIST, COMMAND_LOG, OUTCOME)
-"""Types of the messages that a manifest is gathered from."""
+SOURCES = (CONSIST, COMMAND_LOG, OUTCOME)
+"""Types of the messages that a manifest is derived from."""
 
 
-def gather(manifest: Manifest, msgtype: str, data: bytes) -> None:
-    """Add to a manifest what a message (CDR bytes) says of a run."""
-    if msgtype not in TELLING:
+def add_message(manifest: Manifest, msgtype: str, data: bytes) -> None:
+    """Add to a manifest what a message (CDR bytes) says about a run."""
+    if msgtype not in SOURCES:
         return
     message = deserialize(data, msgtype)
     run = next((r for r in manifest.runs if r.run_id == message.run_id), None)
@@ -44,16 +45,11 @@ def gather(manifest: Manifest, msgtype: str, data: bytes) -> None:
             )
         )
     elif run is not None and msgtype == COMMAND_LOG:
-        entry = {
-            "command": message.command,
-            "request": message.request_json,
-            "step": int(message.step),
-            "time": float(message.time),
-        }
+        command = logged_command(message)
         if message.accepted:
-            run.commands.append(entry)
+            run.commands.append(command)
         else:
-            run.refused.append(entry | {"reason": message.message})
+            run.refused.append(command | {"reason": message.message})
     elif run is not None and msgtype == OUTCOME:
         run.status = message.status_name
         run.time, run.steps = float(message.time), int(message.step)
@@ -68,17 +64,27 @@ def gather(manifest: Manifest, msgtype: str, data: bytes) -> None:
         }
 
 
-def gathered(messages: Iterable[tuple[Any, int, bytes]]) -> Manifest:
-    """The manifest of what a recording holds, from channel, time and bytes of its messages.
+def logged_command(message: Any) -> dict[str, Any]:
+    """A command as a client requested it, from ``derail_msgs/CommandLog``."""
+    return {
+        "command": message.command,
+        "request": message.request_json,
+        "step": int(message.step),
+        "time": float(message.time),
+    }
 
-    The train's message is latched and may come after the first command or outcome of its run.
-    Messages that cannot be read are left out.
+
+def derive_manifest(messages: Iterable[Message]) -> Manifest:
+    """The manifest of the runs in a recording.
+
+    The message of the train is latched and may come after the first command or outcome of its
+    run. Messages that cannot be read are left out.
     """
     manifest = Manifest(software={}, created="", settings={"gathered": True})
-    telling = [(c.msgtype, data) for c, _, data in messages if c.msgtype in TELLING]
-    for msgtype, data in sorted(telling, key=lambda item: item[0] != CONSIST):
+    sources = [(c.msgtype, data) for c, _, data in messages if c.msgtype in SOURCES]
+    for msgtype, data in sorted(sources, key=lambda item: item[0] != CONSIST):
         try:
-            gather(manifest, msgtype, data)
+            add_message(manifest, msgtype, data)
         except Exception:  # whatever bytes that are no message make rosbags raise
             continue
     return manifest
@@ -88,7 +94,6 @@ def _resolved(text: str) -> dict[str, Any]:
     """A scenario with all defaults, as plain data, from the YAML of a consist."""
     try:
         return loads_scenario(text).resolved()
-    except ScenarioError:
-        # Of another version: what it says is still worth keeping.
+    except ScenarioError:  # of another version: what it says is still worth keeping
         data = yaml.safe_load(text)
         return data if isinstance(data, dict) else {}
