@@ -17,6 +17,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 COPY = Path(__file__).resolve().with_name("definitions.json")
+FORMER = Path(__file__).resolve().with_name("definitions_1.json")
+"""Definitions of version 1 of the messages, for recordings that hold them."""
+VERSION = 2
 SOURCE = Path(__file__).resolve().parent.parent / "derail_msgs" / "msg"
 PACKAGE = "derail_msgs"
 
@@ -29,22 +32,24 @@ def read_sources(folder: Path = SOURCE) -> dict[str, str]:
     }
 
 
-def read_copy() -> dict[str, str]:
+@functools.cache
+def read_copy(version: int = VERSION) -> dict[str, str]:
     """The texts that travel with this package: type name -> text."""
-    texts: dict[str, str] = json.loads(COPY.read_text(encoding="utf-8"))
+    path = COPY if version == VERSION else FORMER
+    texts: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
     return texts
 
 
 @functools.cache
-def typestore() -> Any:
-    """Type store with the messages of ROS 2 Kilted and of ``derail_msgs``.
+def typestore(version: int = VERSION) -> Any:
+    """Type store with the messages of ROS 2 Kilted and of a version of ``derail_msgs``.
 
     The messages used here (geometry, visualization, diagnostics) are the same in every
     distribution since Humble.
     """
     store = get_typestore(Stores.ROS2_KILTED)
     types: dict[str, Any] = {}
-    for name, text in read_copy().items():
+    for name, text in read_copy(version).items():
         types.update(get_types_from_msg(text, name))
     store.register(types)
     return store
@@ -61,9 +66,19 @@ def serialize(message: Any) -> bytes:
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
-def deserialize(data: bytes, typename: str) -> Any:
-    """Message of the given type from its CDR bytes."""
-    return typestore().deserialize_cdr(data, typename)
+def deserialize(data: bytes, typename: str, version: int = VERSION) -> Any:
+    """Message of the given type from its CDR bytes; one of version 1 comes as one of today."""
+    message = typestore(version).deserialize_cdr(data, typename)
+    if version == VERSION or not typename.startswith(f"{PACKAGE}/"):
+        return message
+    from msg_adapters.version_1 import upgraded
+
+    return upgraded(message)
+
+
+def type_hash(typename: str, version: int = VERSION) -> str:
+    """REP 2011 hash of a type, as recordings and graphs give it: ``RIHS01_...``."""
+    return str(typestore(version).hash_rihs01(typename))
 
 
 def field_names(typename: str) -> list[str]:
@@ -75,7 +90,7 @@ def field_names(typename: str) -> list[str]:
 def fields_of(typename: str) -> tuple[tuple[str, str], ...]:
     """Names and types of the fields of a message, in order: ``float64``, ``float64[]``, ...
 
-    For messages of numbers, texts, other messages and sequences of numbers.
+    For messages of numbers, texts, other messages and sequences of these.
     """
     found = []
     for name, (kind, what) in typestore().fielddefs[typename][1]:
@@ -84,7 +99,8 @@ def fields_of(typename: str) -> tuple[tuple[str, str], ...]:
         elif kind is Nodetype.BASE:
             found.append((name, str(what[0])))
         else:
-            found.append((name, f"{what[0][1][0]}[]"))
+            inner, of = what[0]
+            found.append((name, f"{of if inner is Nodetype.NAME else of[0]}[]"))
     return tuple(found)
 
 

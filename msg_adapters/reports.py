@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 import math
 import struct
@@ -11,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.vocabulary.events import Collision, Event, EventKind
+from derail_ros.vocabulary.measures import MEASURES, TEXT
+from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.params import DerailmentParams, TrainParams
-from derail_ros.vocabulary.severity import severity
 from derail_ros.vocabulary.status import STATUSES
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
 from msg_adapters.definitions import message_class
@@ -20,10 +23,6 @@ from msg_adapters.definitions import message_class
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.vocabulary.outcome import Outcome
-
-END = {"": 0, "front": 1, "rear": 2}
-WALL_UNKNOWN = 255
 
 TRACK_SPACING = 10.0
 """Distance between the points that describe the centre line, m."""
@@ -53,8 +52,13 @@ def consist(
     software_version: str = "",
     engine_hash: str = "",
     car_types: Sequence[str] = (),
+    files: Mapping[str, bytes] | None = None,
 ) -> Any:
-    """``derail_msgs/Consist``: what the train is made of and where the run comes from."""
+    """``derail_msgs/Consist``: what the train is made of and where the run comes from.
+
+    ``files`` are those that the scenario was made from: name -> content.
+    """
+    file = message_class("derail_msgs/msg/InputFile")
     cars = params.cars
     types = [*car_types, *([""] * (len(cars) - len(car_types)))]
 
@@ -69,6 +73,11 @@ def consist(
         scenario_yaml=scenario_yaml,
         software_version=software_version,
         engine_hash=engine_hash,
+        model=params.model,
+        files=[
+            file(name, hashlib.sha256(data).hexdigest(), np.frombuffer(data, np.uint8))
+            for name, data in (files or {}).items()
+        ],
         initial_speed=float(params.initiation.speed),
         car_name=[car.name or f"car {i}" for i, car in enumerate(cars, 1)],
         car_type=types,
@@ -95,6 +104,7 @@ def consist(
         brake_type=[car.brakes[0].shoe if car.brakes else "none" for car in cars],
         brake_scale=doubles(car.brakes[0].scale if car.brakes else 0.0 for car in cars),
         represents_cars=np.array([car.represents for car in cars], dtype=np.uint32),
+        more=[],
     )
 
 
@@ -137,67 +147,55 @@ def track(
         y=points[1],
         heading=points[2],
         curvature=points[3],
+        z=np.zeros(len(coordinates)),
+        grade=np.zeros(len(coordinates)),
         rail_break_coordinate=np.array([s for s, _ in breaks], dtype=np.float64),
         rail_break_x=places[0],
         rail_break_y=places[1],
         rail_break_time=np.array([t for _, t in breaks], dtype=np.float64),
+        more=[],
     )
 
 
 # --- events ----------------------------------------------------------------------------------
 
 
-def kind_number(kind: EventKind) -> int:
-    """Number of a kind of event in ``derail_msgs/TrainEvent``."""
-    return int(getattr(message_class("derail_msgs/msg/TrainEvent"), f"KIND_{kind.name}"))
-
-
 def train_event(event: Event, sequence: int, context: RunContext) -> Any:
     """``derail_msgs/TrainEvent`` of an event."""
-    cause = event.cause
-    if event.kind == EventKind.RAIL_BREAK_SET and cause == "initial":
-        cause = "scenario"
+    more = [quantity(key, [value]) for key, value in event.more.items()]
+    same = {name: getattr(event, name) for name in _EVENT}
     return message_class("derail_msgs/msg/TrainEvent")(
         header=context.header(event.time),
         run_id=context.run_id,
-        step=int(event.step),
-        time=float(event.time),
         sequence=sequence,
-        kind=kind_number(event.kind),
+        kind=int(event.kind),
         kind_name=event.kind.name.lower(),
         cars=np.array(event.cars, dtype=np.uint32),
-        end=END[event.end],
-        cause=cause,
-        x=float(event.x),
-        y=float(event.y),
-        track_coordinate=float(event.track_coordinate),
-        speed=float(event.speed),
-        value=float(event.value),
         value_unit=event.value_unit,
-        before=event.before,
-        after=event.after,
         text=event.text,
+        more=more,
+        **same,
     )
 
 
+_EVENT = ("step", "time", "end", "cause", "x", "y", "z", "track_coordinate", "speed", "value",
+          "object", "before", "after")  # fmt: skip
+"""Fields that an event and its message have alike."""
+
+
 def event_from_message(message: Any) -> Event:
-    """The event that a ``derail_msgs/TrainEvent`` tells of."""
-    ends = {number: name for name, number in END.items()}
-    cause = "initial" if message.cause == "scenario" else message.cause
+    """The event that a ``derail_msgs/TrainEvent`` tells of.
+
+    Raises
+    ------
+    KeyError
+        If it is of a kind that is not known here.
+    """
     return Event(
         kind=EventKind[message.kind_name.upper()],
-        time=float(message.time),
-        step=int(message.step),
         cars=tuple(int(c) for c in message.cars),
-        end=ends[int(message.end)],
-        cause=cause,
-        x=float(message.x),
-        y=float(message.y),
-        track_coordinate=float(message.track_coordinate),
-        speed=float(message.speed),
-        value=float(message.value),
-        before=message.before,
-        after=message.after,
+        more={q.key: float(q.values[0]) for q in message.more},
+        **{name: getattr(message, name) for name in _EVENT},
     )
 
 
@@ -212,52 +210,13 @@ def collision(contact: Collision, step: int, context: RunContext) -> Any:
         run_id=context.run_id,
         step=step,
         time=float(time),
-        id=int(contact.id),
-        is_final=bool(contact.final),
-        car_a=int(contact.car_a),
-        car_b=int(contact.car_b),
-        corner_car=int(contact.corner_car),
-        corner=int(contact.corner),
-        struck_wall=WALL_UNKNOWN,
-        start_time=float(contact.start),
-        end_time=float(contact.end),
-        peak_corner_force=float(contact.peak_force),
-        peak_corner_force_time=float(contact.peak_time),
-        peak_resultant_force=float(contact.peak_resultant),
-        peak_resultant_force_time=float(contact.peak_resultant_time),
-        closing_speed=float(contact.closing_speed),
-        x=float(contact.x),
-        y=float(contact.y),
-        normal_x=float(contact.normal_x),
-        normal_y=float(contact.normal_y),
-        angle=float(contact.angle),
-        energy_taken_out=float(contact.energy_lost),
+        **dataclasses.asdict(contact),
     )
 
 
 def collision_from_message(message: Any) -> Collision:
     """The contact that a ``derail_msgs/Collision`` tells of."""
-    return Collision(
-        id=int(message.id),
-        final=bool(message.is_final),
-        car_a=int(message.car_a),
-        car_b=int(message.car_b),
-        corner_car=int(message.corner_car),
-        corner=int(message.corner),
-        start=float(message.start_time),
-        end=float(message.end_time),
-        peak_force=float(message.peak_corner_force),
-        peak_time=float(message.peak_corner_force_time),
-        peak_resultant=float(message.peak_resultant_force),
-        peak_resultant_time=float(message.peak_resultant_force_time),
-        closing_speed=float(message.closing_speed),
-        x=float(message.x),
-        y=float(message.y),
-        normal_x=float(message.normal_x),
-        normal_y=float(message.normal_y),
-        angle=float(message.angle),
-        energy_lost=float(message.energy_taken_out),
-    )
+    return Collision(**{f.name: getattr(message, f.name) for f in dataclasses.fields(Collision)})
 
 
 # --- commands --------------------------------------------------------------------------------
@@ -310,63 +269,115 @@ def command_log(
 # --- outcome ---------------------------------------------------------------------------------
 
 
+def quantity(key: str, values: Sequence[float] | NDArray[np.float64], unit: str = "") -> Any:
+    """``derail_msgs/Quantity``."""
+    return message_class("derail_msgs/msg/Quantity")(
+        key=key, unit=unit, values=np.ascontiguousarray(values, dtype=np.float64)
+    )
+
+
+CAR_VALUES = {
+    "derail_time_s": "derail_time",
+    "derail_speed_m_per_s": "derail_speed",
+    "car_peak_force_N": "car_peak_force",
+    "car_peak_time_s": "car_peak_time",
+    "car_peak_other": "car_peak_other",
+}
+"""Quantity of the cars in an outcome's message -> attribute of ``Outcome``, (N,)."""
+POSE = {"x_m": 0, "y_m": 1, "z_m": 2, "roll_rad": 3, "pitch_rad": 4, "yaw_rad": 5}
+"""Quantity of the cars -> column of ``Outcome.pose``."""
+
+
+def measure_value(kind: str, value: Any) -> list[float]:
+    """A measure's value as a message holds it: a number, car numbers, or nothing."""
+    if value is None or kind == TEXT:
+        return []
+    return [float(v) for v in (value if isinstance(value, (list, tuple)) else [value])]
+
+
+def outcome_fields(result: Outcome) -> dict[str, Any]:
+    """What the message of an outcome says of it."""
+    measures = [
+        quantity(m.key, measure_value(m.kind, m.value(result)), m.unit)
+        for m in MEASURES.values()
+        if m.kind != TEXT
+    ]
+    cars = [quantity(key, getattr(result, name)) for key, name in CAR_VALUES.items()]
+    cars += [quantity(key, result.pose[:, k]) for key, k in POSE.items()]
+    cars += [quantity(key, values) for key, values in result.car_values.items()]
+    return {
+        "status": STATUSES[result.status].number,
+        "status_name": result.status,
+        "is_final": result.final,
+        "is_void": result.void,
+        "measures": measures,
+        "cars": cars,
+        "energy_entry": list(result.energy),
+        "energy_value": np.array(list(result.energy.values()), dtype=np.float64),
+    }
+
+
 def outcome(
-    result: Outcome,
-    context: RunContext,
-    *,
-    time: float,
-    step: int,
-    status: str = "",
+    result: Outcome, context: RunContext, *, time: float, step: int, status: str = ""
 ) -> Any:
     """``derail_msgs/Outcome`` at the run time ``time``.
 
     ``status`` overrides the engine's ("failed", "stopped").
     """
-    status = status or result.status
-    final = result.final or status in ("failed", "stopped")
-    pair = result.peak_force_pair or (0, 0)
-    pose = np.ascontiguousarray(result.pose[:, [0, 1, 5]].T)
-    residual = float(result.energy_residual)
-    initial = float(result.energy.get("initial", math.nan))
+    if status:
+        result = dataclasses.replace(result, status=status)
     return message_class("derail_msgs/msg/Outcome")(
         header=context.header(time),
         run_id=context.run_id,
         step=int(step),
         time=float(time),
-        status=STATUSES[status].number,
-        status_name=status,
-        is_final=bool(final),
-        is_void=bool(result.void),
-        duration=float(result.duration) if math.isfinite(result.duration) else float(time),
-        rejected_steps=int(result.rejected_steps),
-        cars_derailed=len(result.derailed_cars),
-        derailed_cars=np.array(result.derailed_cars, dtype=np.uint32),
-        derailment_time=np.ascontiguousarray(result.derail_time, dtype=np.float64),
-        derailment_speed=np.ascontiguousarray(result.derail_speed, dtype=np.float64),
-        peak_corner_force=float(result.peak_force),
-        peak_car_a=int(pair[0]),
-        peak_car_b=int(pair[1]),
-        peak_corner_force_time=float(result.peak_force_time),
-        peak_resultant_force=float(result.peak_resultant),
-        car_peak_force=np.ascontiguousarray(result.car_peak_force, dtype=np.float64),
-        car_peak_other_car=np.ascontiguousarray(result.car_peak_other, dtype=np.uint32),
-        car_peak_time=np.ascontiguousarray(result.car_peak_time, dtype=np.float64),
-        cars_above_5mn=np.array(result.cars_above_5MN, dtype=np.uint32),
-        cars_above_10mn=np.array(result.cars_above_10MN, dtype=np.uint32),
-        scene_length=float(result.scene_length),
-        scene_width=float(result.scene_width),
-        scene_area=float(result.scene_area),
-        x=pose[0],
-        y=pose[1],
-        yaw=pose[2],
-        rear_part_first_car=result.rear_part_first_car,
-        rear_part_track_coordinate=result.rear_part_coordinate,
-        max_coupler_gap=float(result.max_coupler_gap),
-        max_truck_offset=float(result.max_truck_offset),
-        energy_initial=initial,
-        energy_residual=residual * initial,
-        energy_residual_relative=residual,
-        severity=severity(result),
+        **outcome_fields(result),
+    )
+
+
+def outcome_from_message(message: Any) -> Outcome:
+    """The outcome that a ``derail_msgs/Outcome`` tells of."""
+    told = {q.key: q.values.tolist() for q in message.measures}
+    cars = {q.key: np.array(q.values) for q in message.cars}
+
+    def number(key: str) -> float:
+        return told[key][0] if told.get(key) else math.nan
+
+    def whole(key: str) -> int:
+        return int(told[key][0]) if told.get(key) else 0
+
+    n = len(cars["x_m"])
+    pair = [int(c) for c in told.get("peak_force_pair", [])]
+    blank = Outcome.nothing(
+        np.stack([cars.get(key, np.zeros(n)) for key in POSE], axis=-1),
+        str(message.status_name),
+        float(message.time),
+        int(message.step),
+    )
+    known = {name: cars[key] for key, name in CAR_VALUES.items() if key in cars}
+    known["car_peak_other"] = known["car_peak_other"].astype(np.int64)
+    return dataclasses.replace(
+        blank,
+        duration=number("duration_s"),
+        rejected_steps=whole("rejected_steps"),
+        derailed_cars=tuple(int(c) for c in told.get("derailed_cars", [])),
+        peak_force=number("peak_force_N"),
+        peak_force_pair=(pair[0], pair[1]) if len(pair) == 2 else None,
+        peak_force_time=number("peak_force_time_s"),
+        peak_resultant=number("peak_resultant_N"),
+        scene_length=number("scene_length_m"),
+        scene_width=number("scene_width_m"),
+        scene_area=number("scene_area_m2"),
+        max_coupler_gap=number("max_coupler_gap_m"),
+        max_truck_offset=number("max_truck_offset_m"),
+        rear_part_first_car=whole("rear_part_first_car"),
+        rear_part_coordinate=number("rear_part_coordinate_m"),
+        energy=dict(zip(message.energy_entry, message.energy_value.tolist())),
+        energy_residual=number("energy_residual"),
+        train_cars=whole("train_cars"),
+        values={key: values[0] for key, values in told.items() if len(values) == 1},
+        car_values={k: v for k, v in cars.items() if k not in CAR_VALUES and k not in POSE},
+        **known,
     )
 
 

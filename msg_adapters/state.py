@@ -5,12 +5,12 @@ Flat arrays only; an encoder is made once a run and serialises straight from the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 from derail_ros.vocabulary.params import TrainParams
 from msg_adapters.common import (
     NANOSECONDS,
@@ -20,6 +20,7 @@ from msg_adapters.common import (
     SentinelContext,
 )
 from msg_adapters.definitions import fields_of, message_class, serialize
+from msg_adapters.reports import quantity
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -117,7 +118,8 @@ class TransformEncoder:
 class FlatEncoder:
     """Bytes of a message of numbers and arrays of which only the numbers are renewed.
 
-    Texts and lengths of arrays are those of the message given.
+    Texts and lengths of arrays are those of the message given. Arrays of ``Quantity`` are renewed
+    by the name of their field and their key: ``("more", "height_m")``.
     """
 
     def __init__(self, message: Any) -> None:
@@ -125,36 +127,51 @@ class FlatEncoder:
         # Doubles are aligned to 8 bytes after the encapsulation of 4, and so they are in memory.
         self._buffer = bytearray(bytes(PAD) + data)
         self._stamp = np.frombuffer(self._buffer, "<u4", 2, PAD + 4)
-        self._views: dict[str, NDArray[Any]] = {}
-        at = START
+        self._views: dict[Any, NDArray[Any]] = {}
+        self._at = START
         for name, kind in fields_of(message.__msgtype__):
             if kind == "std_msgs/msg/Header":
-                at = self._after_text(at + 8)
+                self._at += 8
+                self._text()
             elif kind == "string":
-                at = self._after_text(at)
+                self._text()
+            elif kind == "string[]":
+                for _ in range(self._count()):
+                    self._text()
+            elif kind == "derail_msgs/msg/Quantity[]":
+                for _ in range(self._count()):
+                    key = self._text()
+                    self._text()
+                    self._numbers((name, key), "float64", self._count())
             else:
-                count = 1
-                if kind.endswith("[]"):
-                    at += -at % 4
-                    count = int.from_bytes(self._buffer[at : at + 4], "little")
-                    at += 4
-                dtype = np.dtype(kind.removesuffix("[]")).newbyteorder("<")
-                if count:
-                    at += -at % dtype.itemsize
-                    self._views[name] = np.frombuffer(self._buffer, dtype, count, at)
-                    at += count * dtype.itemsize
-        if at != len(self._buffer):
-            raise ValueError(f"{message.__msgtype__}: {len(self._buffer) - at} bytes left over")
+                dtype = kind.removesuffix("[]")
+                self._numbers(name, dtype, self._count() if kind.endswith("[]") else 1)
+        if self._at != len(self._buffer):
+            left = len(self._buffer) - self._at
+            raise ValueError(f"{message.__msgtype__}: {left} bytes left over")
 
-    def _after_text(self, at: int) -> int:
-        at += -at % 4
-        return at + 4 + int.from_bytes(self._buffer[at : at + 4], "little")
+    def _count(self) -> int:
+        self._at += -self._at % 4
+        self._at += 4
+        return int.from_bytes(self._buffer[self._at - 4 : self._at], "little")
 
-    def __call__(self, stamp: int, fields: Mapping[str, Any]) -> bytes:
+    def _text(self) -> str:
+        length = self._count()
+        self._at += length
+        return bytes(self._buffer[self._at - length : self._at - 1]).decode()
+
+    def _numbers(self, name: Any, kind: str, count: int) -> None:
+        dtype = np.dtype(kind).newbyteorder("<")
+        if count:
+            self._at += -self._at % dtype.itemsize
+            self._views[name] = np.frombuffer(self._buffer, dtype, count, self._at)
+            self._at += count * dtype.itemsize
+
+    def __call__(self, stamp: int, fields: Mapping[Any, Any]) -> bytes:
         """CDR bytes with another time (ns) and other numbers."""
         self._stamp[:] = divmod(stamp, NANOSECONDS)
         for name, view in self._views.items():
-            view[...] = fields[name]
+            view[...] = fields[name[0]][name[1]] if isinstance(name, tuple) else fields[name]
         return bytes(memoryview(self._buffer)[PAD:])
 
 
@@ -171,10 +188,7 @@ class StateEncoder:
         return self._message("derail_msgs/msg/TrainState", self._train_state(s))
 
     def _train_state(self, s: Sample) -> dict[str, Any]:
-        q, v, a = s.q.T, s.v.T, s.a.T
-        on = s.truck_on.T
-        coordinate = s.truck_coordinate.T
-        rail = s.rail_force.T
+        pose, velocity, acceleration = s.pose.T, s.velocity.T, s.acceleration.T
         ground = s.ground_truck_force.transpose(1, 2, 0)
         body = s.ground_body_force.T
         collision = s.collision_force.T
@@ -182,27 +196,15 @@ class StateEncoder:
         return {
             "step": s.step,
             "time": s.time,
-            "x": q[0],
-            "y": q[1],
-            "yaw": q[2],
-            "vx": v[0],
-            "vy": v[1],
-            "yaw_rate": v[2],
-            "ax": a[0],
-            "ay": a[1],
-            "yaw_acceleration": a[2],
-            "coupler_angle_front": q[3],
-            "coupler_angle_rear": q[4],
-            "coupler_rate_front": v[3],
-            "coupler_rate_rear": v[4],
-            "coupler_acceleration_front": a[3],
-            "coupler_acceleration_rear": a[4],
-            "truck_status_front": on[0],
-            "truck_status_rear": on[1],
-            "track_coordinate_front": coordinate[0],
-            "track_coordinate_rear": coordinate[1],
-            "rail_force_front": rail[0],
-            "rail_force_rear": rail[1],
+            **dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), pose)),
+            **dict(zip(("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate"), velocity)),
+            **dict(zip(_ACCELERATIONS, acceleration)),
+            **_ends("coupler_angle", s.coupler_yaw),
+            **_ends("coupler_rate", s.coupler_rate),
+            **_ends("coupler_acceleration", s.coupler_acceleration),
+            **_ends("truck_status", s.truck_on),
+            **_ends("track_coordinate", s.truck_coordinate),
+            **_ends("rail_force", s.rail_force),
             "brake_force": s.brake_force,
             "ground_force_front_x": ground[0, 0],
             "ground_force_front_y": ground[0, 1],
@@ -222,6 +224,7 @@ class StateEncoder:
             "external_force_x": external[0],
             "external_force_y": external[1],
             "external_moment": s.external_moment,
+            "more": s.cars,
         }
 
     @staticmethod
@@ -239,7 +242,6 @@ class StateEncoder:
         return self._message("derail_msgs/msg/CouplerStates", self._couplers(s))
 
     def _couplers(self, s: Sample) -> dict[str, Any]:
-        striker = s.striker_force.T
         force = s.coupler_force.T
         return {
             "step": s.step,
@@ -249,50 +251,36 @@ class StateEncoder:
             "knuckle_moment": s.knuckle_moment,
             "constraint_force_x": force[0],
             "constraint_force_y": force[1],
+            "axial_force": s.axial_force,
             "gap_error": s.coupler_gap,
-            "striker_force_front": striker[0],
-            "striker_force_rear": striker[1],
+            **_ends("striker_force", s.striker_force),
+            "more": s.couplings,
         }
 
     def energy(self, s: Sample) -> Any:
-        """``derail_msgs/EnergyLedger`` of a sample.
-
-        The engine counts energy taken out of the cars; the message gives the work on them.
-        """
+        """``derail_msgs/EnergyLedger`` of a sample."""
         return self._message("derail_msgs/msg/EnergyLedger", self._energy(s))
 
     def _energy(self, s: Sample) -> dict[str, Any]:
-        ledger = s.energy
-        initial = ledger["initial"]
+        known = [e for e in ENERGY_ENTRIES.values() if e.key in s.energy]
         return {
             "step": s.step,
             "time": s.time,
-            "initial": initial,
-            "kinetic": ledger["kinetic"],
-            "striker_elastic": ledger["striker"],
-            "knuckle_elastic": ledger["knuckle"],
-            "work_brakes": -ledger["brakes"],
-            "work_ground_trucks": -ledger["ground_trucks"],
-            "work_ground_body": -ledger["ground_body"],
-            "work_collisions": -ledger["collisions"],
-            "work_striker_dampers": -ledger["striker_dampers"],
-            "work_knuckles_released": -ledger["knuckles_released"],
-            "work_external": ledger["external"],
-            "stabilization_net": ledger["stabilization_net"],
-            "stabilization_gross": ledger["stabilization_gross"],
-            # Both sides of the two balances name the same leftover, with opposite signs.
-            "residual": -ledger["residual"],
-            "residual_relative": -ledger["residual"] / initial if initial > 0.0 else math.nan,
+            "entry": [e.key for e in known],
+            "role": [e.role for e in known],
+            "value": [s.energy[e.key] for e in known],
         }
 
     def _message(self, kind: str, fields: Mapping[str, Any]) -> Any:
         """The message with these fields, as a serialiser wants them."""
         types = dict(fields_of(kind))
-        arrays = {
-            name: np.ascontiguousarray(value, dtype=types[name].removesuffix("[]"))
-            for name, value in fields.items()
-            if types[name].endswith("[]")
-        }
+        arrays: dict[str, Any] = {}
+        for name, value in fields.items():
+            of = types[name].removesuffix("[]")
+            if isinstance(value, Mapping):
+                arrays[name] = [quantity(key, values) for key, values in value.items()]
+            elif types[name].endswith("[]") and of != "string":
+                arrays[name] = np.ascontiguousarray(value, dtype=of)
         header = self.context.header(float(fields["time"]))
         return message_class(kind)(
             header=header, run_id=self.context.run_id, **{**fields, **arrays}
@@ -315,3 +303,11 @@ class StateEncoder:
             ),
             ("energy", self._bytes("derail_msgs/msg/EnergyLedger", self._energy(sample))),
         ]
+
+
+_ACCELERATIONS = ("ax", "ay", "az", "roll_acceleration", "pitch_acceleration", "yaw_acceleration")
+
+
+def _ends(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Two fields of a message from the two columns of an array: front and rear."""
+    return {f"{name}_front": values[:, 0], f"{name}_rear": values[:, 1]}

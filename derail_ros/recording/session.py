@@ -49,6 +49,7 @@ class Prepared:
     yaml, resolved : the scenario with all defaults filled in, as text and as plain data
     simulation : at the start, never advanced: runs are copies of it
     car_types : type of rolling stock of each car, "" where it was given by its numbers
+    files : what the scenario was read from: name -> content
     marker_pieces : serialised markers, kept from run to run
     """
 
@@ -58,6 +59,7 @@ class Prepared:
     resolved: dict[str, Any]
     simulation: Any
     car_types: tuple[str, ...] = ()
+    files: dict[str, bytes] = field(default_factory=dict)
     marker_pieces: dict[Any, Any] = field(default_factory=dict)
 
     def warm(self, frame_id: str) -> None:
@@ -92,6 +94,7 @@ def prepared_of(scenario: Any, simulation: Any) -> Prepared:
         resolved=scenario.resolved(),
         simulation=simulation,
         car_types=tuple(types[:bodies]),
+        files=scenario.files,
     )
 
 
@@ -229,6 +232,7 @@ class Session:
                 software_version=derail_ros.__version__,
                 engine_hash=models.engine_hash(params.model),
                 car_types=prepared.car_types,
+                files=prepared.files,
             ),
             context.base,
         )

@@ -98,6 +98,11 @@ class Scenario:
         return self.model.source
 
     @property
+    def files(self) -> dict[str, bytes]:
+        """The files that it was read from, by name: its own as written, then those it extends."""
+        return self._document.files
+
+    @property
     def n_cars(self) -> int:
         """Number of real cars, whether modelled or within the virtual body."""
         return self._resolved.n_cars
@@ -151,9 +156,8 @@ class Scenario:
         return self._with(overrides, marks)
 
     def _with(self, overrides: Mapping[str, Any], marks: Mapping[str, Mark]) -> Scenario:
-        document = Document(
-            copy.deepcopy(self._document.data), self._document.file, dict(self._document.marks)
-        )
+        old = self._document
+        document = Document(copy.deepcopy(old.data), old.file, dict(old.marks), old.files)
         steps = {text: _split(text, marks[text]) for text in overrides}
         overridden = set(steps.values())
         for text, path in steps.items():
@@ -262,10 +266,13 @@ def _load(
 ) -> Scenario:
     """Read a text, and before it the scenarios that it extends (``seen``: those on the way)."""
     document = parse(text, file)
+    document.files = {f"{name}.yaml": text.encode()}
     _check_version(document)
     overrides, marks = _take_overrides(document)
     if "extends" in document.data:
-        _merge_below(document, _base(document, folders, seen))
+        base = _base(document, folders, seen)
+        _merge_below(document, base)
+        document.files = {**document.files, **base.files}
     scenario = _build(name, document, load_rolling_stock())
     return scenario._with(overrides, marks) if overrides else scenario
 

@@ -54,11 +54,15 @@ class Mark(NamedTuple):
 
 @dataclass
 class Document:
-    """Plain data (dicts, lists, scalars) and the place of each of its keys and items."""
+    """Plain data (dicts, lists, scalars) and the place of each of its keys and items.
+
+    ``files`` are the files that it was read from: name -> content, this one first.
+    """
 
     data: dict[str, Any]
     file: str
     marks: dict[Path, Mark] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
 
     def mark(self, path: Path) -> Mark:
         """Place of the value at ``path``, or of the nearest thing around it."""

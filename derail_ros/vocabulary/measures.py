@@ -149,6 +149,8 @@ MEASURES: dict[str, Measure] = _all(
     Measure("severity", "severity (published base run: 1)", severity, digits=2),
     Measure("rear_part_first_car", "first car on the rails behind",
             lambda o: o.rear_part_first_car or None, COUNT, group=DETAIL),
+    Measure("rear_part_coordinate_m", "its front truck", lambda o: o.rear_part_coordinate,
+            unit="m", group=DETAIL),
     Measure("rear_stop_m", "rear part stopped at", lambda o: o.rear_stop, unit="m"),
     Measure("energy_initial_J", "kinetic and elastic energy at the start",
             lambda o: o.energy.get("initial", math.nan), unit="J", shown_unit="MJ", scale=1e-6,

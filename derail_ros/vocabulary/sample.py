@@ -124,6 +124,17 @@ class Sample:
         return len(self.pose)
 
     @property
+    def axial_force(self) -> F64:
+        """(N-1,) coupling force along the train, N: draft positive, buff negative; 0 once parted.
+
+        The force of the car behind on the car ahead, along the line from it to the car behind.
+        """
+        line = np.diff(self.pose[:, :2], axis=0)
+        size = np.hypot(*line.T)
+        along = (self.coupler_force * line).sum(axis=1)
+        return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
+
+    @property
     def plane(self) -> F64:
         """(N, 3) x, y, yaw: the pose seen from above."""
         return self.pose[:, [0, 1, 5]]
