@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from derail_ros.vocabulary.params import PLANAR
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -71,11 +73,11 @@ def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
     return scenario.with_overrides(overrides) if overrides else scenario
 
 
-def warm_up() -> None:
+def warm_up(model: str = PLANAR) -> None:
     """Have the engine's kernels ready, saying so if they must be compiled first."""
     from derail_ros import models
 
-    models.engine().warm_up(lambda text: note(f"derail: {text}"))
+    models.engine(model).warm_up(lambda text: note(f"derail: {text}"))
 
 
 PLAIN_S = 10.0

@@ -63,7 +63,7 @@ def run(
         note(f"{scenario.name} has no lateral force to vary: all members are the same run")
     if output is not None:
         output = common.output_directory(output)
-    common.warm_up()
+    common.warm_up(params.model)
     try:
         simulation = models.build(params)
     except ParameterError as error:

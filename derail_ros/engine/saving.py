@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import State
-from derail_ros.engine.serial import from_plain, pack, to_plain, unpack
+from derail_ros.engine.serial import pack, unpack
 from derail_ros.vocabulary.errors import DerailError, StateFormatError
 from derail_ros.vocabulary.events import Command, Event
 from derail_ros.vocabulary.params import TrainParams
+from derail_ros.vocabulary.plain import from_plain, to_plain
 
 if TYPE_CHECKING:
     from derail_ros.engine.simulation import PlanarSimulation

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from derail_ros.engine import PlanarSimulation
-from derail_ros.engine.serial import from_plain, unpack
+from derail_ros.engine.serial import unpack
 from derail_ros.vocabulary.errors import SimulationError
 from derail_ros.vocabulary.events import Command, Event
 from derail_ros.vocabulary.params import TrainParams
+from derail_ros.vocabulary.plain import from_plain
 
 FOLDER = Path(__file__).parent
 
