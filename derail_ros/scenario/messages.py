@@ -77,13 +77,13 @@ def _reason(error: dict[str, Any], path: Path, model: type[BaseModel]) -> str:
     if kind == "missing":
         return "is required"
     if kind in _KINDS:
-        return f"{_KINDS[kind]}, is {shown(value)}"
+        return f"{_KINDS[kind]}, got {shown(value)}"
     if kind in _LIMITS:
         name, words = _LIMITS[kind]
-        return f"{words} {shown(context[name])}, is {shown(value)}"
+        return f"{words} {shown(context[name])}, got {shown(value)}"
     if kind == "literal_error":
         hint = did_you_mean(value, _choices(context)) if isinstance(value, str) else ""
-        return f"must be {context['expected']}, is {shown(value)}{hint}"
+        return f"must be {context['expected']}, got {shown(value)}{hint}"
     if kind == "too_short":
         return "must have at least one entry"
     if kind == "too_long":
@@ -93,8 +93,8 @@ def _reason(error: dict[str, Any], path: Path, model: type[BaseModel]) -> str:
     if kind == "string_too_short":
         return "must not be empty"
     if kind == "string_pattern_mismatch":
-        return f"must be a name of letters, digits, '_' and '-', is {shown(value)}"
-    return f"{error['msg'].lower()}, is {shown(value)}"
+        return f"must be a name of letters, digits, '_' and '-', got {shown(value)}"
+    return f"{error['msg'].lower()}, got {shown(value)}"
 
 
 def _choices(context: dict[str, Any]) -> list[str]:

@@ -185,7 +185,7 @@ def _couplers(model: ScenarioModel, stock: RollingStock) -> dict[str, CouplerTyp
         if spec.pivot_to_striker_m >= spec.pivot_to_face_m:  # type: ignore[operator]
             reason = (
                 f"must be below the coupler length, {shown(spec.pivot_to_face_m)} m, "
-                f"is {shown(spec.pivot_to_striker_m)} m"
+                f"got {shown(spec.pivot_to_striker_m)} m"
             )
             raise Refusal((*path, "pivot_to_striker_m"), reason)
         types[name] = CouplerType(
@@ -349,7 +349,7 @@ def _check_counts(resolved: Resolved) -> None:
             raise Refusal(("train", "consist", i, "count"), reason)
     start = resolved.model.train.virtual_from
     if start is not None and start >= total:
-        reason = f"must be below the number of cars, {total}, to leave two or more, is {start}"
+        reason = f"must be below the number of cars, {total}, to leave two or more, got {start}"
         raise Refusal(("train", "virtual_from"), reason)
 
 
@@ -405,7 +405,7 @@ def _check_integration(model: ScenarioModel) -> None:
         reason = f"must be one of {', '.join(models.names())}, got {model.model}"
         raise Refusal(("model",), reason)
     if integration.method not in METHODS:
-        reason = f"must be one of {', '.join(METHODS)}, is {integration.method!r}"
+        reason = f"must be one of {', '.join(METHODS)}, got {integration.method!r}"
         raise Refusal(("integration", "method"), reason)
     if integration.min_step_s >= integration.max_step_s:
         reason = f"must be below max_step_s, {shown(integration.max_step_s)} s"

@@ -150,7 +150,7 @@ class Scenario:
             Naming the path.
         """
         if not isinstance(overrides, Mapping):
-            reason = f"must be a mapping of dotted paths to values, is {type(overrides).__name__}"
+            reason = f"must be a mapping of dotted paths to values, got {type(overrides).__name__}"
             raise ScenarioError(self.name, None, "overrides", reason)
         marks = {path: Mark(self.name, None) for path in overrides}
         return self._with(overrides, marks)
@@ -253,7 +253,7 @@ def parse_set(text: str) -> tuple[str, Any]:
     path, equals, value = text.partition("=")
     path = path.strip()
     if not equals or not path:
-        raise ScenarioError("--set", None, "", f"must be PATH=VALUE, is {shown(text)}")
+        raise ScenarioError("--set", None, "", f"must be PATH=VALUE, got {shown(text)}")
     return path, parse_value(value, "--set", path)
 
 
@@ -282,7 +282,7 @@ def _check_version(document: Document) -> None:
         raise document.error(("version",), f"is required: the format has version {FORMAT_VERSION}")
     version = document.data["version"]
     if type(version) is not int or version != FORMAT_VERSION:
-        reason = f"must be {FORMAT_VERSION}, the version of the format that is read here, is "
+        reason = f"must be {FORMAT_VERSION}, the version of the format, got "
         is_float = isinstance(version, float)
         raise document.error(
             ("version",), reason + (repr(version) if is_float else shown(version))
@@ -299,7 +299,7 @@ def _take_overrides(document: Document) -> tuple[dict[str, Any], dict[str, Mark]
     values = document.data.pop("overrides")
     if not isinstance(values, dict):
         reason = "must be a mapping of dotted paths to values"
-        raise document.error(place, f"{reason}, is {shown(values)}")
+        raise document.error(place, f"{reason}, got {shown(values)}")
     return values, {text: document.mark((*place, text)) for text in values}
 
 
@@ -310,7 +310,7 @@ def _base(
     name = document.data.pop("extends")
     place: Path = ("extends",)
     if not isinstance(name, str) or not files.is_name(name):
-        raise document.error(place, f"must be the name of a scenario, is {shown(name)}")
+        raise document.error(place, f"must be the name of a scenario, got {shown(name)}")
     path = files.find(name, folders)
     if path is None:
         raise document.error(place, f"unknown scenario {name!r}{_near_names(name, folders)}")

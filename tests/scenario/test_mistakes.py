@@ -37,28 +37,28 @@ CASES = {
     "unknown key, nothing near": ("count: 2", "xyz: 2", 6, "train.consist.0.xyz", "unknown key"),
     "key missing": ("  speed_kmh: 60\n", "", 3, "train.speed_kmh", "is required"),
     "section missing": (TEXT[TEXT.index("train:") :], "", 1, "train", "is required"),
-    "text for a number": ("60", "fast", 4, "train.speed_kmh", "must be a number, is 'fast'"),
-    "quoted number": ("60", "'60'", 4, "train.speed_kmh", "must be a number, is '60'"),
-    "bool for a number": ("60", "true", 4, "train.speed_kmh", "must be a number, is true"),
-    "null for a number": ("60", "", 4, "train.speed_kmh", "must be a number, is null"),
-    "list for a number": ("60", "[60]", 4, "train.speed_kmh", "must be a number, is a list"),
-    "mapping for a number": ("60", "{a: 1}", 4, "train.speed_kmh", "is a mapping"),
+    "text for a number": ("60", "fast", 4, "train.speed_kmh", "must be a number, got 'fast'"),
+    "quoted number": ("60", "'60'", 4, "train.speed_kmh", "must be a number, got '60'"),
+    "bool for a number": ("60", "true", 4, "train.speed_kmh", "must be a number, got true"),
+    "null for a number": ("60", "", 4, "train.speed_kmh", "must be a number, got null"),
+    "list for a number": ("60", "[60]", 4, "train.speed_kmh", "must be a number, got a list"),
+    "mapping for a number": ("60", "{a: 1}", 4, "train.speed_kmh", "got a mapping"),
     "yes for a switch": ("", "brakes: {instant: yes}", END, "brakes.instant", "true or false"),
     "number for a switch": ("", "brakes: {instant: 1}", END, "brakes.instant", "true or false"),
     "fraction for a count": ("count: 2", "count: 2.5", 6, "train.consist.0.count", "whole number"),
-    "number for text": ("test train", "12", 2, "title", "must be text, is 12"),
+    "number for text": ("test train", "12", 2, "title", "must be text, got 12"),
     "empty title": ("test train", "''", 2, "title", "must not be empty"),
     "long title": ("test train", "x" * 200, 2, "title", "longer than 120 characters"),
-    "number for a list": ("[30]", "30", 13, "track.rail_breaks", "must be a list, is 30"),
-    "number for a section": ("", "ground: 3", END, "ground", "mapping of keys to values, is 3"),
+    "number for a list": ("[30]", "30", 13, "track.rail_breaks", "must be a list, got 30"),
+    "number for a section": ("", "ground: 3", END, "ground", "mapping of keys to values, got 3"),
     "number for a mapping": ("", "couplers: {types: 3}", END, "couplers.types", "mapping"),
-    "infinite": ("60", ".inf", 4, "train.speed_kmh", "must be a finite number, is inf"),
+    "infinite": ("60", ".inf", 4, "train.speed_kmh", "must be a finite number, got inf"),
     "infinite by size": ("60", "1e999", 4, "train.speed_kmh", "finite"),
     "infinite by length": ("60", "9" * 5000, 4, "train.speed_kmh", "finite"),
-    "not a number": ("60", ".nan", 4, "train.speed_kmh", "must be a finite number, is nan"),
-    "too small": ("60", "0", 4, "train.speed_kmh", "must be above 0, is 0"),
-    "too large": ("60", "501", 4, "train.speed_kmh", "must be at most 500, is 501"),
-    "negative": ("", "ground: {c_s: -1}", END, "ground.c_s", "must be at least 0, is -1"),
+    "not a number": ("60", ".nan", 4, "train.speed_kmh", "must be a finite number, got nan"),
+    "too small": ("60", "0", 4, "train.speed_kmh", "must be above 0, got 0"),
+    "too large": ("60", "501", 4, "train.speed_kmh", "must be at most 500, got 501"),
+    "negative": ("", "ground: {c_s: -1}", END, "ground.c_s", "must be at least 0, got -1"),
     "bad word": (
         "",
         "brakes: {signal_source: fron}",
@@ -315,7 +315,7 @@ CASES = {
         "couplers:\n  types:\n    F79:\n      pivot_to_striker_m: 1.2",
         END + 3,
         "couplers.types.F79.pivot_to_striker_m",
-        "must be below the coupler length, 1.092 m, is 1.2 m",
+        "must be below the coupler length, 1.092 m, got 1.2 m",
     ),
     "car type without mass": (
         "60\n",
@@ -342,9 +342,9 @@ CASES = {
     ),
     "no version": ("version: 1\n", "", 1, "version", "is required"),
     "next version": ("version: 1", "version: 2", 1, "version", "must be 1, "),
-    "version as text": ("version: 1", "version: '1'", 1, "version", "is '1'"),
-    "version as a float": ("version: 1", "version: 1.0", 1, "version", "is 1.0"),
-    "version true": ("version: 1", "version: true", 1, "version", "is true"),
+    "version as text": ("version: 1", "version: '1'", 1, "version", "got '1'"),
+    "version as a float": ("version: 1", "version: 1.0", 1, "version", "got 1.0"),
+    "version true": ("version: 1", "version: true", 1, "version", "got true"),
     "duplicate key": (
         "60",
         "60\n  speed_kmh: 70",
@@ -412,7 +412,7 @@ def test_file_with_mistake(tmp_path):
     path.write_text(TEXT.replace("60", "-60"))
     with pytest.raises(ScenarioError) as caught:
         load_scenario(path)
-    assert str(caught.value) == f"{path}:4: train.speed_kmh: must be above 0, is -60"
+    assert str(caught.value) == f"{path}:4: train.speed_kmh: must be above 0, got -60"
 
 
 def test_files_that_cannot_be_read(tmp_path):

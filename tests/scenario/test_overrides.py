@@ -332,8 +332,8 @@ def test_list_tells_of_files_that_cannot_be_read(tmp_path):
         ("extends: bose_train\ntitle: x\n", 2, "extends", "did you mean 'base_train'"),
         ("extends: ../base_train\ntitle: x\n", 2, "extends", "must be the name of a scenario"),
         ("extends: /etc/passwd\ntitle: x\n", 2, "extends", "must be the name of a scenario"),
-        ("extends: [a]\ntitle: x\n", 2, "extends", "is a list"),
-        ("extends: null\ntitle: x\n", 2, "extends", "is null"),
+        ("extends: [a]\ntitle: x\n", 2, "extends", "got a list"),
+        ("extends: null\ntitle: x\n", 2, "extends", "got null"),
         ("extends: loop\ntitle: x\n", None, "extends", "round in a circle"),
         ("extends: base_train\n", 1, "title", "is required"),
         ("extends: base_train\ntitle: x\ntrain: 3\n", 4, "train", "mapping"),
@@ -404,7 +404,7 @@ def test_conflict_between_base_and_variant_points_to_the_line_it_came_from(tmp_p
 def test_overrides_that_are_no_mapping(overrides, kind):
     with pytest.raises(ScenarioError) as info:
         load_scenario("base_train").with_overrides(overrides)
-    assert f"overrides: must be a mapping of dotted paths to values, is {kind}" in str(info.value)
+    assert f"overrides: must be a mapping of dotted paths to values, got {kind}" in str(info.value)
 
 
 def test_a_list_of_one_has_one_entry():

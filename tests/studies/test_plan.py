@@ -123,7 +123,7 @@ def test_six_variations_are_25_points_of_20_runs():
         (
             parameters("{path: train.speed_kmh, values: [10, 600]}"),
             "parameters.p.values.1",
-            "train.speed_kmh: must be at most 500, is 600",
+            "train.speed_kmh: must be at most 500, got 600",
         ),
         (
             parameters("{path: train.speed_kmh, values: [10, fast]}"),
