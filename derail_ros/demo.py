@@ -21,9 +21,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from derail_ros.nodes.domain import free_domain
+from derail_ros.recording.reader import read_bag
+from derail_ros.recording.recorded_run import RecordedRun
+from derail_ros.vocabulary.outcome import Outcome, ending
 
 SCENARIO = "mississauga"
 SPEED_FACTOR = 3.0
@@ -105,6 +106,7 @@ def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
+    from msg_adapters.reports import outcome_from_message
     from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
 
     os.environ.update(env)
@@ -121,9 +123,10 @@ def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
         heard.derailed += message.kind_name == "truck_derailed" and message.before != "derailed"
 
     def on_outcome(message: Any) -> None:
-        heard.derailed = message.cars_derailed
-        heard.peak = message.peak_corner_force
-        heard.status, heard.final = message.status_name, message.is_final
+        outcome = outcome_from_message(message)
+        heard.derailed = outcome.cars_derailed
+        heard.peak = outcome.peak_force
+        heard.status, heard.final = outcome.status, outcome.final
         heard.time = max(heard.time, message.time)
 
     for name, callback in (
@@ -167,98 +170,33 @@ def picture(heard: Heard, began: float) -> Any:
 # --- afterwards ------------------------------------------------------------------------------
 
 
-def last_messages(bag: Path) -> dict[str, Any]:
-    """The last message of each topic that the figures need, from the recording."""
-    from rosbags.rosbag2 import Reader
-
-    from msg_adapters.definitions import deserialize
-
-    wanted = {"consist", "track", "outcome", "train_state", "coupler_states"}
-    data: dict[str, tuple[bytes, str]] = {}
-    with Reader(bag) as reader:
-        connections = [c for c in reader.connections if c.topic.lstrip("/") in wanted]
-        for connection, _, raw in reader.messages(connections=connections):
-            data[connection.topic.lstrip("/")] = (raw, connection.msgtype)
-    return {name: deserialize(raw, kind) for name, (raw, kind) in data.items()}
-
-
-def scene(last: dict[str, Any], title: str) -> Any:
-    """The scene at the end of a recording."""
-    from derail_ros.recording.reader import rest_time
-    from derail_ros.review import words
-    from derail_ros.review.scene import Scene
-
-    consist, state, outcome, track = (
-        last[name] for name in ("consist", "train_state", "outcome", "track")
-    )
-    line = np.stack([track.x, track.y], axis=-1)
-    heading = np.interp(track.rail_break_coordinate, track.s, track.heading)
-    straight = bool(np.ptp(track.heading) < 1e-9)
-    return Scene(
-        pose=np.stack([state.x, state.y, state.yaw], axis=-1),
-        length=consist.length,
-        width=consist.width,
-        pivot=consist.pivot_distance,
-        truck_on=np.stack([state.truck_status_front, state.truck_status_rear], axis=-1) == 1,
-        coupled=last["coupler_states"].coupled == 1,
-        represents=consist.represents_cars.astype(np.int64),
-        coupler=np.stack([state.coupler_angle_front, state.coupler_angle_rear], axis=-1),
-        coupler_length=np.stack(
-            [consist.coupler_length_front, consist.coupler_length_rear], axis=-1
-        ),
-        peak_force=outcome.car_peak_force,
-        track=line[[0, -1]] if straight else line,
-        breaks=np.stack([track.rail_break_x, track.rail_break_y, heading], axis=-1),
-        scene_length=outcome.scene_length,
-        scene_width=outcome.scene_width,
-        scene_area=outcome.scene_area,
-        straight=straight,
-        title=title,
-        subtitle=f"{words.derailed(outcome.cars_derailed)}, "
-        + words.ending(outcome.status_name, outcome.time, rest_time(outcome)),
-    )
-
-
-def draw(last: dict[str, Any], folder: Path, title: str) -> list[Path]:
+def draw(run: RecordedRun, folder: Path) -> list[Path]:
     """Draw the figures of a run."""
-    from derail_ros.review import figures
+    from derail_ros.review import figures, plots
+    from derail_ros.review.summary import final_scene
 
-    outcome = last["outcome"]
     return [
-        figures.save(figures.final_scene(scene(last, title)), folder / "final_scene.png"),
-        figures.save(
-            figures.peak_forces(
-                outcome.car_peak_force,
-                outcome.car_peak_other_car.astype(np.int64),
-                time=outcome.car_peak_time,
-                derailed=outcome.derailed_cars.tolist(),
-                title=title,
-            ),
-            folder / "peak_forces.png",
-        ),
+        figures.save(figures.final_scene(final_scene(run)), folder / "final_scene.png"),
+        figures.save(plots.peak_forces(run), folder / "peak_forces.png"),
     ]
 
 
-def comparison(outcome: Any, scenario: str) -> Any:
+def comparison(outcome: Outcome, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
 
-    from derail_ros.recording.reader import rest_time
-    from derail_ros.review import words
-
-    rest = rest_time(outcome)
-    pair = f"car {outcome.peak_car_a} into {outcome.peak_car_b}" if outcome.peak_car_a else "-"
+    pair = outcome.peak_force_pair
     here = {
         "cars": str(outcome.cars_derailed),
         "scene": f"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m",
-        "duration": "-" if math.isnan(rest) else f"{rest:.1f} s",
-        "force": f"{outcome.peak_corner_force / 1e6:.1f} MN",
-        "pair": pair,
+        "duration": f"{outcome.duration:.1f} s" if math.isfinite(outcome.duration) else "-",
+        "force": f"{outcome.peak_force / 1e6:.1f} MN",
+        "pair": f"car {pair[0]} into {pair[1]}" if pair else "-",
     }
     columns = {"this run": here}
     if scenario.startswith(SCENARIO):
         columns |= {"the accident": ACCIDENT, "published model": PUBLISHED}
-    table = Table(title=f"{scenario}: {words.ending(outcome.status_name, outcome.time, rest)}")
+    table = Table(title=f"{scenario}: {ending(outcome)}")
     table.add_column("")
     for name in columns:
         table.add_column(name)
@@ -347,9 +285,9 @@ def run(scenario: str, speed_factor: float, output: Path | None, domain: int) ->
             if process.returncode != 0 or not heard.final:
                 show_log(log)
         return 1
-    last = last_messages(bag)
-    console.print(comparison(last["outcome"], scenario))
-    figures = draw(last, folder, scenario)
+    run = read_bag(bag)
+    console.print(comparison(run.outcome, scenario))
+    figures = draw(run, folder)
     for line in recorder_log.read_text(errors="replace").splitlines():
         if "missed" in line:
             console.print(f"recorder: {line.rpartition(': ')[2]}", highlight=False)

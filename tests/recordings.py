@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from derail_ros.recording import record_run
-from derail_ros.recording.reader import Run, read_bag
+from derail_ros.recording.reader import read_bag
+from derail_ros.recording.recorded_run import RecordedRun
 from tests.nodes.support import simulation, small
 
 
@@ -28,6 +29,6 @@ def sqlite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def run(bag: Path) -> Run:
+def run(bag: Path) -> RecordedRun:
     """The recording as arrays."""
     return read_bag(bag)

@@ -12,7 +12,7 @@ from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
-    from derail_ros.recording.recomputation import RecordedRun
+    from derail_ros.recording.recomputation import RecordedHistory
 
 
 def run(place: str, as_json: bool) -> int:
@@ -47,19 +47,20 @@ def run(place: str, as_json: bool) -> int:
     return OK if same else FAILED
 
 
-def _found(path: Path) -> tuple[Manifest, dict[str, RecordedRun] | None]:
+def _found(path: Path) -> tuple[Manifest, dict[str, RecordedHistory] | None]:
     """Manifest and messages at a place: a recording as all commands take it, or a manifest.
 
     Of a recording without the file its messages tell scenario and commands.
     """
+    from derail_ros.recording.decoding import check_version
     from derail_ros.recording.manifest import FILE_NAME
-    from derail_ros.recording.recomputation import is_needed, manifest_of, recorded_runs
-    from derail_ros.recording.storage import BagError, NotABagError, check_version, open_bag
+    from derail_ros.recording.recomputation import is_needed, manifest_of, recorded_histories
+    from derail_ros.recording.storage import BagError, NotABagError, open_bag
 
     if path.suffix == ".json":
         manifest = _manifest(path)
         try:
-            return manifest, recorded_runs(open_bag(path.parent).messages(is_needed))
+            return manifest, recorded_histories(open_bag(path.parent).messages(is_needed))
         except BagError:
             return manifest, None
     try:
@@ -82,7 +83,7 @@ def _found(path: Path) -> tuple[Manifest, dict[str, RecordedRun] | None]:
             note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
     if not manifest.runs:
         raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
-    return manifest, recorded_runs(messages)
+    return manifest, recorded_histories(messages)
 
 
 def _manifest(path: Path) -> Manifest:

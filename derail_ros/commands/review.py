@@ -13,10 +13,10 @@ from derail_ros.commands.common import OK, CommandFailure, note
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.recording.reader import Run
+    from derail_ros.recording.recorded_run import RecordedRun
 
 
-def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> Run:
+def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> RecordedRun:
     """Read a recording; what is wrong with it goes to stderr.
 
     Raises
@@ -92,7 +92,7 @@ def run(
     return OK
 
 
-def write_figures(found: Run, output: Path) -> list[str]:
+def write_figures(found: RecordedRun, output: Path) -> list[str]:
     """Draw the figures of a run and return their names."""
     from derail_ros.review import figures as scenes
     from derail_ros.review import plots

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
-from derail_ros.recording.storage import BagError, Channel, open_bag
+from derail_ros.recording.channels import Channel
+from derail_ros.recording.decoding import present_bytes
+from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.common import NANOSECONDS
 
 IDLE = 0.1
@@ -77,7 +79,7 @@ class Playback:
         self.channels = [c for c in self.bag.channels if c.topic not in OWN_CLOCK]
         self._latched_names = {c.topic for c in self.channels if c.latched}
         self._latched: list[Item] = [
-            (stamp, channel.topic, data)
+            (stamp, channel.topic, present_bytes(channel, data))
             for channel, stamp, data in self.bag.messages(self._is_latched)
         ]
         self._latched_times = [stamp for stamp, _, _ in self._latched]
@@ -166,7 +168,7 @@ class Playback:
         if self.output is not None:
             self.output.renew()
         self._items = (
-            (when, channel.topic, data)
+            (when, channel.topic, present_bytes(channel, data))
             for channel, when, data in self.bag.messages(self._is_played, start=stamp)
             # Those latched until now are shown at once.
             if not (stamp > self.start and when <= stamp and self._is_latched(channel))
@@ -183,7 +185,7 @@ class Playback:
         early = max(self.start, stamp - LOOK_BACK)
         for channel, _, data in self.bag.messages(self._is_played, start=early, stop=stamp):
             if not self._is_latched(channel):
-                last[channel.topic] = data
+                last[channel.topic] = present_bytes(channel, data)
         for topic, data in last.items():
             self.output.publish(topic, data)
 

@@ -15,7 +15,8 @@ from derail_ros.nodes import parameters as table
 from derail_ros.nodes.playback import Playback
 from derail_ros.nodes.process import StartError, Stop, run_node, service_qos, starting
 from derail_ros.nodes.simulator import CLOCK_GRACE, ClockGuard
-from derail_ros.recording.storage import BagError, Channel
+from derail_ros.recording.channels import Channel
+from derail_ros.recording.storage import BagError
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.reports import clock
 from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos

@@ -33,6 +33,11 @@ class Channel:
     digest: str = ""
 
     @property
+    def namespace(self) -> str:
+        """The topic's name without its last part."""
+        return self.topic.rpartition("/")[0]
+
+    @property
     def name(self) -> str:
         """Last part of the topic's name."""
         return self.topic.rpartition("/")[2]

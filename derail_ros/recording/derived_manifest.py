@@ -12,10 +12,12 @@ from typing import Any
 import yaml
 
 from derail_ros.recording.channels import Message
+from derail_ros.recording.decoding import decode
 from derail_ros.recording.manifest import Manifest, RunEntry
 from derail_ros.scenario import ScenarioError, loads_scenario
+from derail_ros.vocabulary.measures import outcome_record
 from msg_adapters.common import stamp_of
-from msg_adapters.definitions import deserialize
+from msg_adapters.reports import outcome_from_message
 
 CONSIST = "derail_msgs/msg/Consist"
 COMMAND_LOG = "derail_msgs/msg/CommandLog"
@@ -24,13 +26,11 @@ SOURCES = (CONSIST, COMMAND_LOG, OUTCOME)
 """Types of the messages that a manifest is derived from."""
 
 
-def add_message(manifest: Manifest, msgtype: str, data: bytes) -> None:
-    """Add to a manifest what a message (CDR bytes) says about a run."""
-    if msgtype not in SOURCES:
-        return
-    message = deserialize(data, msgtype)
+def add_message(manifest: Manifest, message: Any) -> None:
+    """Add to a manifest what a message of :data:`SOURCES` says about a run."""
+    kind = message.__msgtype__
     run = next((r for r in manifest.runs if r.run_id == message.run_id), None)
-    if msgtype == CONSIST and run is None:
+    if kind == CONSIST and run is None:
         manifest.software |= {
             "derail_ros": message.software_version,
             "engine_hash": message.engine_hash,
@@ -41,27 +41,22 @@ def add_message(manifest: Manifest, msgtype: str, data: bytes) -> None:
                 scenario_name=message.scenario_name,
                 scenario_hash=message.scenario_hash,
                 scenario=_resolved(message.scenario_yaml),
+                model=message.model,
+                engine_hash=message.engine_hash,
+                files={f.name: f.sha256 for f in message.files},
                 start_time=stamp_of(message),
             )
         )
-    elif run is not None and msgtype == COMMAND_LOG:
+    elif run is not None and kind == COMMAND_LOG:
         command = logged_command(message)
         if message.accepted:
             run.commands.append(command)
         else:
             run.refused.append(command | {"reason": message.message})
-    elif run is not None and msgtype == OUTCOME:
+    elif run is not None and kind == OUTCOME:
         run.status = message.status_name
         run.time, run.steps = float(message.time), int(message.step)
-        run.outcome = {
-            "cars_derailed": int(message.cars_derailed),
-            "derailed_cars": message.derailed_cars.tolist(),
-            "duration": float(message.duration),
-            "peak_force": float(message.peak_corner_force),
-            "peak_force_pair": [int(message.peak_car_a), int(message.peak_car_b)],
-            "scene_length": float(message.scene_length),
-            "scene_width": float(message.scene_width),
-        }
+        run.outcome = outcome_record(outcome_from_message(message))
 
 
 def logged_command(message: Any) -> dict[str, Any]:
@@ -81,11 +76,11 @@ def derive_manifest(messages: Iterable[Message]) -> Manifest:
     run. Messages that cannot be read are left out.
     """
     manifest = Manifest(software={}, created="", settings={"gathered": True})
-    sources = [(c.msgtype, data) for c, _, data in messages if c.msgtype in SOURCES]
-    for msgtype, data in sorted(sources, key=lambda item: item[0] != CONSIST):
+    sources = [(c, data) for c, _, data in messages if c.msgtype in SOURCES]
+    for channel, data in sorted(sources, key=lambda item: item[0].msgtype != CONSIST):
         try:
-            add_message(manifest, msgtype, data)
-        except Exception:  # whatever bytes that are no message make rosbags raise
+            add_message(manifest, decode(channel, data))
+        except Exception:  # bytes that are no message make rosbags raise anything
             continue
     return manifest
 

@@ -17,7 +17,7 @@ from typing import Any
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter, write_channel
 
-from msg_adapters.definitions import read_copy, typestore
+from msg_adapters.definitions import VERSION, read_copy, type_hash, typestore
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 METADATA_VERSION = 8
@@ -93,24 +93,30 @@ def bag_writer(path: str | os.PathLike[str], storage: str) -> Writer:
     return writer
 
 
-def add_topic(writer: Writer, topic: str, msgtype: str, profiles: Sequence[Any]) -> Any:
+def add_topic(
+    writer: Writer,
+    topic: str,
+    msgtype: str,
+    profiles: Sequence[Any],
+    version: int = VERSION,
+) -> Any:
     """Announce a topic of a type known here; the connection to write its messages to."""
     return writer.add_connection(
         topic,
         msgtype,
-        msgdef=full_text(msgtype),
-        rihs01=typestore().hash_rihs01(msgtype),
+        msgdef=full_text(msgtype, version),
+        rihs01=type_hash(msgtype, version),
         offered_qos_profiles=profiles,
     )
 
 
 @functools.cache
-def full_text(msgtype: str) -> str:
+def full_text(msgtype: str, version: int = VERSION) -> str:
     """The definition of a message and of those it uses, ours with what each field means."""
-    text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+    text, _ = typestore(version).generate_msgdef(msgtype, ros_version=2)
     rule = "=" * 80 + "\nMSG: "
     own, *others = text.split(rule)
-    comments = read_copy()
+    comments = read_copy(version)
     parts = [comments.get(msgtype, own)]
     for part in others:
         name, _, body = part.partition("\n")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from derail_ros.recording.derived_manifest import add_message
+from derail_ros.recording.derived_manifest import SOURCES, add_message
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
@@ -115,7 +115,8 @@ class _OpenRecording:
         if topic.name in STATE_TOPICS:
             counted.stamps.append(stamp)
             self.last_stamp = max(self.last_stamp, stamp)
-        add_message(self.manifest, topic.msgtype, data)
+        if topic.msgtype in SOURCES:
+            add_message(self.manifest, deserialize(data, topic.msgtype))
         if self._held is None:
             self.recorder.write(name, stamp, data)
             return

@@ -19,14 +19,17 @@ from pathlib import Path
 from typing import Any
 
 import derail_ros
+from derail_ros.vocabulary.params import PLANAR
+from derail_ros.vocabulary.status import RUNNING
 from msg_adapters.reports import jsonable
 
 FORMAT = "derail_ros/manifest"
-VERSION = 1
+VERSION = 2
+"""Version 1 had no model and no files, and keys of an outcome without units; it is still read."""
 FILE_NAME = "manifest.json"
 CUSTOM_DATA = "derail_ros_manifest"
 
-PACKAGES = ("numpy", "numba", "llvmlite", "pydantic", "PyYAML", "rosbags", "ros-rclpy")
+PACKAGES = ("numpy", "numba", "llvmlite", "pydantic", "PyYAML", "rosbags", "mcap", "ros-rclpy")
 
 
 def software_versions() -> dict[str, str]:
@@ -59,6 +62,9 @@ class RunEntry:
     run_id : identity of the run in its messages
     scenario_name, scenario_hash : which scenario
     scenario : the scenario with all defaults filled in, as plain data
+    model, engine_hash : what computed it; no hash: that of ``Manifest.software``
+    files : SHA-256 of the files that the scenario was made from, by name; their content is in
+        the message of the train
     seed : seed of what is drawn at random (the model draws nothing: ``None``)
     start_time : simulation time at which it began, ns
     commands : the commands applied to it, with the step at which each was: name, arguments,
@@ -67,18 +73,21 @@ class RunEntry:
     status : how it ended, or ``"running"``
     time, steps : run time (s) and accepted steps at its end
     final_state_hash : hash of the engine's state at its end
-    outcome : what came of it
+    outcome : its record (``vocabulary.measures.outcome_record``)
     """
 
     run_id: str
     scenario_name: str
     scenario_hash: str
     scenario: dict[str, Any]
+    model: str = PLANAR
+    engine_hash: str = ""
+    files: dict[str, str] = field(default_factory=dict)
     seed: int | None = None
     start_time: int = 0
     commands: list[dict[str, Any]] = field(default_factory=list)
     refused: list[dict[str, Any]] = field(default_factory=list)
-    status: str = "running"
+    status: str = RUNNING
     time: float = 0.0
     steps: int = 0
     final_state_hash: str = ""
@@ -119,7 +128,13 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: str) -> Manifest:
-        """A manifest from its JSON."""
+        """A manifest from its JSON.
+
+        Raises
+        ------
+        ValueError
+            If it is something else, or of another version.
+        """
         try:
             data = json.loads(text)
         except ValueError:
@@ -127,8 +142,8 @@ class Manifest:
         form = data.get("format") if isinstance(data, dict) else None
         if form != FORMAT:
             raise ValueError(f"its format is {form!r}, not {FORMAT!r}")
-        if data.get("version") != VERSION:
-            raise ValueError(f"its version is {data.get('version')!r}, not {VERSION}")
+        if data.get("version") not in (1, VERSION):
+            raise ValueError(f"its version is {data.get('version')!r}, not 1 or {VERSION}")
         data["runs"] = [RunEntry(**run) for run in data["runs"]]
         return cls(**data)
 

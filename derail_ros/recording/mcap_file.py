@@ -1,7 +1,8 @@
 """Messages of one MCAP file: by its index, or record by record where it is damaged.
 
-The parts of the format are read by ``mcap``. Its readers stop at the first damage; :func:`records`
-walks over a file without an index, leaves out a broken chunk and ends where the file is cut off.
+The parts of the format are read by ``mcap``. Its readers stop at the first damage; the scan here
+leaves out a broken chunk, goes on at the next one that an index names, and ends where the file is
+cut off.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,7 +22,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
 
 from derail_ros.recording.channels import Channel, Message, Span, Wanted, one_line, parse_profiles
 
@@ -28,42 +29,64 @@ MAGIC = b"\x89MCAP0\r\n"
 LARGEST_RECORD = 1 << 29
 """A record that claims to be larger than this is taken for damage, bytes."""
 
-Warn = Callable[[str], None]
+
+@dataclass
+class Index:
+    """What the index of a file says.
+
+    Attributes
+    ----------
+    schemas, channels : by their numbers in the file
+    chunks : where its chunks begin, bytes
+    span : first and last time, ns
+    """
+
+    schemas: dict[int, parts.Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[int] = field(default_factory=list)
+    span: Span | None = None
 
 
-def indexed_channels(file: Path) -> list[Channel] | None:
-    """The topics by the index, ``None`` for a file without one.
+def read_index(file: Path) -> Index | None:
+    """The index of a file, ``None`` if it was written without.
 
     Raises
     ------
     Exception
-        Of any kind, for a damaged file.
+        Of any kind, if the file is damaged or cut off.
     """
     with file.open("rb") as stream:
         summary = _reader(stream).get_summary()
-        if summary is None:
-            return None
-        if summary.chunk_indexes and not summary.channels:
-            raise ValueError("an index without topics")
-        return list(_channels(summary).values())
+    if summary is None:
+        return None
+    if summary.chunk_indexes and not summary.channels:
+        raise ValueError("an index without topics")
+    found = summary.statistics
+    return Index(
+        schemas=summary.schemas,
+        channels={k: _channel(c, summary.schemas) for k, c in summary.channels.items()},
+        chunks=sorted(chunk.chunk_start_offset for chunk in summary.chunk_indexes),
+        span=(found.message_start_time, found.message_end_time)
+        if found is not None and found.message_count
+        else None,
+    )
 
 
 def indexed_messages(
-    file: Path, wanted: Wanted, start: int | None = None, stop: int | None = None
+    file: Path, wanted: Wanted, start: int | None, stop: int | None
 ) -> Iterator[Message]:
     """Messages in order of time, from ``start`` to before ``stop`` (ns).
 
     Raises
     ------
     Exception
-        Of any kind, for a damaged file.
+        Of any kind, where the file is damaged.
     """
+    index = read_index(file) or Index()
+    channels = dict(index.channels)
+    topics = {c.topic for c in channels.values() if wanted(c)} if channels else None
     with file.open("rb") as stream:
-        reader = _reader(stream)
-        summary = reader.get_summary()
-        channels = {} if summary is None else _channels(summary)
-        topics = {c.topic for c in channels.values() if wanted(c)} if channels else None
-        for schema, raw, message in reader.iter_messages(
+        for schema, raw, message in _reader(stream).iter_messages(
             topics, starting_at=start, ending_before=stop
         ):
             if raw.id not in channels:
@@ -72,35 +95,8 @@ def indexed_messages(
                 yield channels[raw.id], message.log_time, message.data
 
 
-def indexed_span(file: Path) -> Span | None:
-    """First and last time (ns) by the index, ``None`` if there are no messages."""
-    with file.open("rb") as stream:
-        summary = _reader(stream).get_summary()
-    statistics = None if summary is None else summary.statistics
-    if statistics is None:
-        times = [stamp for _, stamp, _ in indexed_messages(file, lambda _: True)]
-        return (min(times), max(times)) if times else None
-    if not statistics.message_count:
-        return None
-    return statistics.message_start_time, statistics.message_end_time
-
-
-def scanned_channels(file: Path) -> list[Channel]:
-    """The topics, from all that is left of a file."""
-    return _Scan(file, lambda _: None).channels()
-
-
-def scanned_messages(file: Path, wanted: Wanted, warn: Warn) -> Iterator[Message]:
-    """All messages that are left of a file, in the order in which they were written."""
-    return _Scan(file, warn).messages(wanted)
-
-
 def _reader(stream: BinaryIO) -> SeekingReader:
     return SeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST_RECORD)
-
-
-def _channels(summary: Summary) -> dict[int, Channel]:
-    return {key: _channel(c, summary.schemas) for key, c in summary.channels.items()}
 
 
 def _channel(channel: parts.Channel, schemas: dict[int, Any]) -> Channel:
@@ -114,37 +110,34 @@ def _channel(channel: parts.Channel, schemas: dict[int, Any]) -> Channel:
     )
 
 
-# --- without the index -------------------------------------------------------------------------
+# --- without trust in the index ----------------------------------------------------------------
 
 
-class _Scan:
-    """One walk over the records of a file."""
+class Scan:
+    """A walk over all records that are left of a file; ``warn`` takes what is wrong with it."""
 
-    def __init__(self, file: Path, warn: Warn) -> None:
+    def __init__(self, file: Path, warn: Callable[[str], None] = lambda _: None) -> None:
         self._file = file
         self._warn = warn
-        self._schemas: dict[int, parts.Schema] = {}
-        self._channels: dict[int, Channel] = {}
-        self._chunks: list[int] = []
-        with suppress(Exception), file.open("rb") as stream:  # the index may be damaged as well
-            if (summary := _reader(stream).get_summary()) is not None:
-                self._schemas = summary.schemas
-                self._channels = _channels(summary)
-                self._chunks = sorted(c.chunk_start_offset for c in summary.chunk_indexes)
+        self._index = Index()
+        with suppress(Exception):  # it may be damaged as well
+            self._index = read_index(file) or Index()
 
     def channels(self) -> list[Channel]:
+        """The topics."""
         for op, data in self._records():
             self._announced(op, data)
-        return list(self._channels.values())
+        return list(self._index.channels.values())
 
     def messages(self, wanted: Wanted) -> Iterator[Message]:
+        """Messages in the order in which they were written."""
         chosen: dict[int, bool] = {}
         for op, data in self._records():
             if op != Opcode.MESSAGE:
                 self._announced(op, data)
                 continue
             key, _, stamp = struct.unpack_from("<HIQ", data)
-            channel = self._channels.get(key)
+            channel = self._index.channels.get(key)
             if channel is not None and chosen.setdefault(key, wanted(channel)):
                 yield channel, stamp, data[22:]
 
@@ -153,10 +146,10 @@ class _Scan:
         try:
             if op == Opcode.SCHEMA:
                 schema = parts.Schema.read(ReadDataStream(BytesIO(data)))
-                self._schemas[schema.id] = schema
+                self._index.schemas[schema.id] = schema
             elif op == Opcode.CHANNEL:
-                channel = parts.Channel.read(ReadDataStream(BytesIO(data)))
-                self._channels.setdefault(channel.id, _channel(channel, self._schemas))
+                raw = parts.Channel.read(ReadDataStream(BytesIO(data)))
+                self._index.channels.setdefault(raw.id, _channel(raw, self._index.schemas))
         except Exception as error:  # damage may take any form
             self._warn(f"the description of a topic is damaged ({one_line(error)})")
 
@@ -175,7 +168,7 @@ class _Scan:
                         yield from self._chunk(data, whole)
                     elif whole:
                         yield op, data
-                onward = [chunk for chunk in self._chunks if chunk > place]
+                onward = [chunk for chunk in self._index.chunks if chunk > place]
                 if not onward:
                     self._warn(f"{self._file.name} is cut off at its end")
                     return
@@ -190,9 +183,7 @@ class _Scan:
             if whole:
                 self._warn(f"a damaged part was left out ({one_line(error)})")
             return
-        for op, content, complete in _walk(BytesIO(inner)):
-            if complete:
-                yield op, content
+        yield from ((op, content) for op, content, complete in _walk(BytesIO(inner)) if complete)
 
 
 def _walk(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from derail_ros.recording.channels import Channel, Message, Span
+from derail_ros.recording.decoding import version_of
 from derail_ros.recording.derived_manifest import SOURCES, derive_manifest
 from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
 from derail_ros.recording.storage import BagError, RawBag, open_bag
-from msg_adapters.definitions import deserialize, typestore
+from msg_adapters.definitions import VERSION, deserialize, typestore
 from msg_adapters.reports import jsonable
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
@@ -149,7 +150,8 @@ def _connect(writer: Any, channel: Channel) -> Any:
     if not qos and known is not None:
         qos = [bag_qos(known)]
     if not channel.definition and channel.msgtype in typestore().fielddefs:
-        return add_topic(writer, channel.topic, channel.msgtype, qos)
+        version = version_of(channel) or VERSION
+        return add_topic(writer, channel.topic, channel.msgtype, qos, version)
     return writer.add_connection(
         channel.topic,
         channel.msgtype,

@@ -8,6 +8,7 @@ publishes them and a recording keeps them; both get the same bytes.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import time
 import uuid
@@ -23,6 +24,7 @@ from derail_ros import models
 from derail_ros.recording.manifest import RunEntry
 from derail_ros.vocabulary.errors import CommandError, SimulationError
 from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.sample import Sample
 from msg_adapters import reports
 from msg_adapters.common import RunContext
@@ -445,13 +447,15 @@ class Session:
     def entry(self) -> RunEntry:
         """What a manifest says of this run."""
         simulation = self.simulation
-        outcome = dataclasses.asdict(simulation.outcome())
-        outcome["status"] = self.status
+        outcome = dataclasses.replace(simulation.outcome(), status=self.status)
         return RunEntry(
             run_id=self.context.run_id,
             scenario_name=self.prepared.name,
             scenario_hash=self.prepared.hash,
             scenario=self.prepared.resolved,
+            model=self.params.model,
+            engine_hash=models.engine_hash(self.params.model),
+            files={n: hashlib.sha256(f).hexdigest() for n, f in self.prepared.files.items()},
             start_time=self.context.base,
             commands=[dataclasses.asdict(command) for command in simulation.commands],
             refused=self._refused(),
@@ -459,7 +463,7 @@ class Session:
             time=float(simulation.time),
             steps=self.step,
             final_state_hash=simulation.state_hash(),
-            outcome=outcome,
+            outcome=outcome_record(outcome),
         )
 
     def _refused(self) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -20,19 +20,6 @@ import zstandard
 from derail_ros.recording import mcap_file, sqlite_file
 from derail_ros.recording.channels import Channel, Message, Span, Wanted, one_line
 from derail_ros.vocabulary.words import count
-
-__all__ = [
-    "BagError",
-    "BagVersionError",
-    "Channel",
-    "Message",
-    "NotABagError",
-    "OtherTopicsError",
-    "RawBag",
-    "check_version",
-    "open_bag",
-    "topics_of",
-]
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".mcap", ".db3")
@@ -61,22 +48,15 @@ class RawBag:
 
     Attributes
     ----------
-    path
-        Folder or file.
-    storage
-        ``"mcap"`` or ``"sqlite3"``.
-    files
-        Its files in order; of compressed ones the unpacked copies.
-    size
-        Bytes on disk.
-    channels
-        Its topics.
-    intact
-        Index and metadata are there.
-    compressed_messages
-        Each message is compressed by itself (rosbag2's ``compression_mode: message``).
-    warnings
-        What is wrong with it; grows while it is read.
+    path : folder or file
+    storage : "mcap" or "sqlite3"
+    files : its files in order; of compressed ones the unpacked copies
+    size : bytes on disk
+    channels : its topics
+    spans : first and last time of each file with an index, ns
+    intact : index and metadata are there
+    compressed_messages : each message is compressed by itself
+    warnings : what is wrong with it; grows while it is read
     """
 
     path: Path
@@ -84,6 +64,7 @@ class RawBag:
     files: list[Path]
     size: int
     channels: list[Channel] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
     intact: bool = True
     compressed_messages: bool = False
     warnings: list[str] = field(default_factory=list)
@@ -100,17 +81,10 @@ class RawBag:
         start: int | None = None,
         stop: int | None = None,
     ) -> Iterator[Message]:
-        """All messages of the wanted topics, of an intact recording between two times.
+        """Messages of the wanted topics.
 
-        An intact recording gives them in order of time, a damaged one all in the order in which
-        they were written.
-
-        Parameters
-        ----------
-        wanted
-            Which topics.
-        start, stop
-            From ``start`` to before ``stop``, ns.
+        An intact recording gives those from ``start`` to before ``stop`` (ns) in order of time, a
+        damaged one all that are left in the order in which they were written.
         """
         read = 0
         for file in self.files:
@@ -133,24 +107,15 @@ class RawBag:
             return sqlite_file.messages(file, wanted, start, stop, by_time=self.intact)
         if self.intact:
             return mcap_file.indexed_messages(file, wanted, start, stop)
-        return mcap_file.scanned_messages(file, wanted, self.warn)
+        return mcap_file.Scan(file, self.warn).messages(wanted)
 
     def span(self) -> Span | None:
-        """First and last time of an intact recording (ns), ``None`` if it holds no message.
-
-        Raises
-        ------
-        BagError
-            If it is damaged.
-        """
-        read = mcap_file.indexed_span if self.storage == "mcap" else sqlite_file.span
-        try:
-            spans = [found for file in self.files if (found := read(file)) is not None]
-        except Exception as error:  # damage makes the libraries raise anything
-            raise BagError(f"{self.path}: {one_line(error)}") from None
-        if not spans:
-            return None
-        return min(first for first, _ in spans), max(last for _, last in spans)
+        """First and last time of all messages, ns; ``None`` if there are none."""
+        if len(self.spans) == len(self.files):
+            times = [time for span in self.spans for time in span]
+        else:
+            times = [stamp for _, stamp, _ in self.messages()]
+        return (min(times), max(times)) if times else None
 
 
 # --- finding -----------------------------------------------------------------------------------
@@ -175,15 +140,15 @@ def open_bag(path: str | Path) -> RawBag:
         raise NotABagError(f"{path}: neither an MCAP nor an SQLite recording")
     try:
         metadata = _Metadata(path.parent)
-        if metadata.files == [path.name]:
-            return _open_files(path.parent, [path], metadata=metadata)
     except ValueError:
-        pass
+        return _open_files(path, [path])
+    if metadata.files == [path.name]:
+        return _open_files(path.parent, [path], metadata=metadata)
     return _open_files(path, [path])
 
 
 class _Metadata:
-    """What ``metadata.yaml`` says of a recording's files.
+    """What ``metadata.yaml`` says about a recording's files.
 
     Raises
     ------
@@ -200,7 +165,7 @@ class _Metadata:
             loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
             info = yaml.load(text, Loader=loader)["rosbag2_bagfile_information"]
             self.files = [PurePath(name).name for name in info["relative_file_paths"]]
-            self.compressed_messages = str(info.get("compression_mode", "")).lower() == "message"
+            self.compressed_messages = str(info.get("compression_mode")).lower() == "message"
         except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{METADATA} cannot be read: {one_line(error)}") from None
         missing = [name for name in self.files if not (folder / name).exists()]
@@ -274,10 +239,10 @@ def _open_files(
     bag.compressed_messages = metadata is not None and metadata.compressed_messages
     found: dict[tuple[str, str], Channel] = {}
     for file in files:
-        channels, fault = _mcap_channels(file) if storage == "mcap" else _sqlite_channels(file)
+        fault = _open_mcap(bag, file) if storage == "mcap" else _open_sqlite(bag, file)
         reason = reason or fault
-        for channel in channels:
-            found.setdefault((channel.topic, channel.msgtype), channel)
+    for channel in bag.channels:
+        found.setdefault((channel.topic, channel.msgtype), channel)
     bag.channels = list(found.values())
     if not found:
         raise NotABagError(f"{path}: a recording without anything in it")
@@ -303,93 +268,27 @@ def _unpack(files: list[Path]) -> tuple[list[Path], Any]:
     return [places.get(file, file) for file in files], folder
 
 
-def _mcap_channels(file: Path) -> tuple[list[Channel], str]:
-    """The topics of a file, and why it is not whole."""
+def _open_mcap(bag: RawBag, file: Path) -> str:
+    """Take the topics of a file; why it is not whole, or ""."""
+    fault = ""
     try:
-        channels = mcap_file.indexed_channels(file)
-        if channels is not None:
-            return channels, ""
+        index = mcap_file.read_index(file)
     except Exception:  # whatever a damaged file makes mcap raise
-        return mcap_file.scanned_channels(file), "no index"
-    return mcap_file.scanned_channels(file), ""
+        index, fault = None, "no index"
+    if index is None:
+        bag.channels += mcap_file.Scan(file).channels()
+        return fault
+    bag.channels += index.channels.values()
+    bag.spans += [] if index.span is None else [index.span]
+    return ""
 
 
-def _sqlite_channels(file: Path) -> tuple[list[Channel], str]:
-    journal = "the recorder did not end" if sqlite_file.companions(file) else ""
+def _open_sqlite(bag: RawBag, file: Path) -> str:
+    """Take the topics of a file; why it is not whole, or ""."""
     try:
-        return sqlite_file.channels(file), journal
+        bag.channels += sqlite_file.channels(file)
+        span = sqlite_file.span(file)
     except sqlite3.Error as error:
         raise NotABagError(f"{file}: {one_line(error)}") from None
-
-
-# --- what it holds -----------------------------------------------------------------------------
-
-PACKAGE = "derail_msgs/msg/"
-KNOWN_VERSION = 1
-
-
-def check_version(bag: RawBag) -> None:
-    """Hold the definitions inside the recording against those that this version reads.
-
-    Raises
-    ------
-    OtherTopicsError
-        If nothing in it is of a derailment simulator.
-    BagVersionError
-        If its messages are others.
-    """
-    from rosbags.typesys import get_types_from_msg
-
-    from msg_adapters.definitions import field_names, read_copy, typestore
-
-    ours = [c for c in bag.channels if c.msgtype.startswith(PACKAGE)]
-    if not ours:
-        names = ", ".join(sorted(c.topic for c in bag.channels)[:4]) or "none"
-        raise OtherTopicsError(
-            f"{bag.path}: a recording, but not of a derailment (its topics: {names})"
-        )
-    known = read_copy()
-    for channel in ours:
-        if channel.msgtype not in known:
-            if channel.definition:
-                bag.warn(f"{channel.topic} is left out: {channel.msgtype} is not known here")
-            continue
-        if not channel.definition:
-            continue
-        try:
-            own_part = channel.definition.split("\n====", 1)[0]
-            constants, fields = get_types_from_msg(own_part, channel.msgtype)[channel.msgtype]
-        except Exception as error:  # rosbags raises several kinds
-            raise BagVersionError(
-                f"{bag.path}: the definition of {channel.msgtype} in it cannot be read"
-                f" ({one_line(error)})"
-            ) from None
-        version = next((value for name, _, value in constants if name == "INTERFACE_VERSION"), 0)
-        expected = typestore().fielddefs[channel.msgtype][1]
-        if version != KNOWN_VERSION or [f[0] for f in fields] != field_names(channel.msgtype):
-            raise BagVersionError(
-                f"{bag.path}: {channel.msgtype} in it is of version {version} with"
-                f" {len(fields)} fields; this derail_ros reads version {KNOWN_VERSION} with"
-                f" {len(expected)}"
-            )
-
-
-def topics_of(channels: Collection[Channel], namespace: str | None) -> tuple[str, list[str]]:
-    """The namespace to read, and all there are in a recording.
-
-    Raises
-    ------
-    OtherTopicsError
-        If the namespace asked for is not in it.
-    """
-    found = sorted(
-        {c.topic.rpartition("/")[0] for c in channels if c.msgtype == f"{PACKAGE}TrainState"}
-        or {c.topic.rpartition("/")[0] for c in channels if c.msgtype.startswith(PACKAGE)}
-    )
-    if namespace is None:
-        return found[0], found
-    wanted = "/" + namespace.strip("/") if namespace.strip("/") else ""
-    if wanted not in found:
-        there = ", ".join(f"{n or '/'}" for n in found)
-        raise OtherTopicsError(f"no train in namespace {wanted or '/'}; there are: {there}")
-    return wanted, found
+    bag.spans += [] if span is None else [span]
+    return "the recorder did not end" if sqlite_file.companions(file) else ""

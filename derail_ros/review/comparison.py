@@ -11,15 +11,16 @@ import numpy as np
 from derail_ros.review import figures, words
 from derail_ros.review.figures import STYLE, WIDTH
 from derail_ros.review.summary import final_scene, number
+from derail_ros.vocabulary.events import Event, EventKind
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from derail_ros.recording.reader import Happening, Run
+    from derail_ros.recording.recorded_run import RecordedRun
 
 FORMAT = "derail_ros/comparison"
 VERSION = 1
-HAPPENED = ("truck_derailed", "coupler_parted", "rail_break_set")
+HAPPENED = (EventKind.TRUCK_DERAILED, EventKind.COUPLER_PARTED, EventKind.RAIL_BREAK_SET)
 """Kinds of events that are compared one by one."""
 SAME = 1e-9
 """Times closer than this are the same, s."""
@@ -43,48 +44,48 @@ MEASURES: tuple[tuple[str, str, str, float], ...] = (
 )
 
 
-def measures(run: Run) -> dict[str, float]:
+def measures(run: RecordedRun) -> dict[str, float]:
     """Measures of a run."""
-    r = run.result
+    r = run.outcome
     return {
-        "cars_derailed": float(len(r.derailed)),
+        "cars_derailed": float(len(r.derailed_cars)),
         "duration_s": r.duration,
         "peak_force_N": r.peak_force,
-        "peak_time_s": r.peak_time,
-        "cars_above_5MN": float(len(r.above_5MN)),
-        "cars_above_10MN": float(len(r.above_10MN)),
-        "collisions": float(len(run.contacts)),
-        "length_m": r.length,
-        "width_m": r.width,
-        "area_m2": r.area,
-        "rear_stop_m": r.rear_stop,
+        "peak_time_s": r.peak_force_time,
+        "cars_above_5MN": float(len(r.cars_above_5MN)),
+        "cars_above_10MN": float(len(r.cars_above_10MN)),
+        "collisions": float(len(run.collisions)),
+        "length_m": r.scene_length,
+        "width_m": r.scene_width,
+        "area_m2": r.scene_area,
+        "rear_stop_m": r.rear_part_coordinate,
         "couplings_parted": float((~run.coupled[-1]).sum()),
         "initial_speed_m_s": run.initial_speed,
     }
 
 
-def _key(e: Happening) -> tuple[Any, ...]:
+def _key(e: Event) -> tuple[Any, ...]:
     return e.kind, tuple(sorted(e.cars)), e.end, round(e.track_coordinate, 3) if not e.cars else 0
 
 
-def _happened(run: Run) -> dict[tuple[Any, ...], Happening]:
-    found: dict[tuple[Any, ...], Happening] = {}
+def _happened(run: RecordedRun) -> dict[tuple[Any, ...], Event]:
+    found: dict[tuple[Any, ...], Event] = {}
     for e in run.events:
         if e.kind in HAPPENED:
             found.setdefault(_key(e), e)
     return found
 
 
-def _pairs(run: Run) -> dict[tuple[int, int], float]:
+def _pairs(run: RecordedRun) -> dict[tuple[int, int], float]:
     """Largest force between each pair of cars, N."""
     found: dict[tuple[int, int], float] = {}
-    for c in run.contacts:
+    for c in run.collisions:
         pair = (min(c.car_a, c.car_b), max(c.car_a, c.car_b))
         found[pair] = max(found.get(pair, 0.0), c.peak_force)
     return found
 
 
-def compare(a: Run, b: Run) -> dict[str, Any]:
+def compare(a: RecordedRun, b: RecordedRun) -> dict[str, Any]:
     """What is different between two runs, as plain data."""
     ma, mb = measures(a), measures(b)
     ea, eb = _happened(a), _happened(b)
@@ -98,7 +99,7 @@ def compare(a: Run, b: Run) -> dict[str, Any]:
         (p for p in pa.keys() | pb.keys() if max(pa.get(p, 0.0), pb.get(p, 0.0)) >= HARD),
         key=lambda p: -max(pa.get(p, 0.0), pb.get(p, 0.0)),
     )
-    derailed_a, derailed_b = set(a.result.derailed), set(b.result.derailed)
+    derailed_a, derailed_b = set(a.outcome.derailed_cars), set(b.outcome.derailed_cars)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -122,7 +123,7 @@ def compare(a: Run, b: Run) -> dict[str, Any]:
         "events_only_in_second": [_event(e) for e in only_b],
         "events_at_other_times": [
             {
-                "text": words.event(x),
+                "text": x.text,
                 "first_s": x.time,
                 "second_s": y.time,
                 "difference_s": y.time - x.time,
@@ -136,31 +137,31 @@ def compare(a: Run, b: Run) -> dict[str, Any]:
     }
 
 
-def _sequence(run: Run) -> list[tuple[Any, ...]]:
+def _sequence(run: RecordedRun) -> list[tuple[Any, ...]]:
     """All events to the bit."""
     return [
         (e.time, e.kind, e.cars, e.end, e.cause, repr(e.value))
         for e in run.events
-        if not e.kind.startswith("run_")
+        if not e.kind.word.startswith("run_")
     ]
 
 
-def _about(run: Run) -> dict[str, Any]:
+def _about(run: RecordedRun) -> dict[str, Any]:
     return {
         "path": str(run.path),
         "run_id": run.run_id,
         "scenario": run.name,
         "title": run.title,
         "hash": run.scenario_hash,
-        "status": run.result.status,
+        "status": run.outcome.status,
         "bodies": run.n,
         "outcome": words.sentence(run),
         "warnings": list(run.warnings),
     }
 
 
-def _event(e: Happening) -> dict[str, Any]:
-    return {"time_s": e.time, "kind": e.kind, "cars": list(e.cars), "text": words.event(e)}
+def _event(e: Event) -> dict[str, Any]:
+    return {"time_s": e.time, "kind": e.kind.word, "cars": list(e.cars), "text": e.text}
 
 
 def settings(a: Any, b: Any, path: str = "") -> list[dict[str, Any]]:
@@ -253,13 +254,13 @@ def _number(value: float | None, factor: float, sign: bool = False) -> str:
 # --- scenes ----------------------------------------------------------------------------------
 
 
-def scenes(a: Run, b: Run) -> Figure:
+def scenes(a: RecordedRun, b: RecordedRun) -> Figure:
     """Draw both scenes at the end, one above the other, to the same scale and place."""
     with matplotlib.rc_context(STYLE):
         return _scenes(a, b)
 
 
-def _scenes(a: Run, b: Run) -> Figure:
+def _scenes(a: RecordedRun, b: RecordedRun) -> Figure:
     drawn = [final_scene(run) for run in (a, b)]
     windows = np.array([figures._pile_up(scene) for scene in drawn])
     window = (

@@ -19,11 +19,13 @@ from matplotlib.patheffects import withStroke
 from derail_ros.review import figures, words
 from derail_ros.review.figures import INK, STATES, STYLE, VERMILION
 from derail_ros.review.replay_page import site
+from derail_ros.review.run_scene import scene_at
+from derail_ros.vocabulary.events import Collision
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from derail_ros.recording.reader import Contact, Run
+    from derail_ros.recording.recorded_run import RecordedRun
 
 KINDS = (".mp4", ".gif")
 DPI = 100
@@ -38,7 +40,7 @@ class FilmError(ValueError):
 
 
 def times(
-    run: Run, fps: int, rate: float, start: float | None, end: float | None
+    run: RecordedRun, fps: int, rate: float, start: float | None, end: float | None
 ) -> NDArray[np.float64]:
     """Moments of the pictures, s.
 
@@ -63,7 +65,7 @@ def times(
 class _Stage:
     """A figure whose cars are moved from picture to picture."""
 
-    def __init__(self, run: Run, width: int) -> None:
+    def __init__(self, run: RecordedRun, width: int) -> None:
         self.run = run
         window = tuple(site(run))
         aspect = float(np.clip((window[3] - window[2]) / (window[1] - window[0]), 0.3, 0.62))
@@ -78,7 +80,7 @@ class _Stage:
         self.axes = self.figure.add_axes((0.0, 0.0, 1.0, tall / (tall + head)))
         figures._prepare(self.axes, self.window)
         points = inches * 72.0 / (self.window[1] - self.window[0])
-        scene = run.scene(float(run.time[-1]))
+        scene = scene_at(run, float(run.time[-1]))
         figures._draw_track(self.axes, scene, self.window, points)
         share = head / (tall + head)
         self.clock = self.figure.text(
@@ -199,7 +201,7 @@ class _Stage:
     def picture(self, time: float) -> NDArray[np.uint8]:
         """(H, W, 3) the picture at a time."""
         run = self.run
-        scene = run.scene(time)
+        scene = scene_at(run, time)
         corners = scene.corners()
         state = figures._state(scene)
         real = run.cars.real
@@ -222,12 +224,12 @@ class _Stage:
         recent = sorted(
             (
                 c
-                for c in run.contacts
+                for c in run.collisions
                 if c.peak_force >= 1e6 and c.peak_time <= time < c.peak_time + MARKED
             ),
             key=lambda c: -c.peak_force,
         )
-        told: list[Contact] = []
+        told: list[Collision] = []
         for c in recent:  # of labels that would cover each other the larger force stays
             clear = all(
                 abs(c.x - o.x) > 0.075 * (x1 - x0) or abs(c.y - o.y) > 0.025 * (x1 - x0)
@@ -253,7 +255,9 @@ class _Stage:
         return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
-def pictures(run: Run, moments: NDArray[np.float64], width: int) -> Iterator[NDArray[np.uint8]]:
+def pictures(
+    run: RecordedRun, moments: NDArray[np.float64], width: int
+) -> Iterator[NDArray[np.uint8]]:
     """The pictures of a film."""
     with matplotlib.rc_context(STYLE | {"path.simplify": True}):
         stage = _Stage(run, 2 * round(width / 2))
@@ -262,7 +266,7 @@ def pictures(run: Run, moments: NDArray[np.float64], width: int) -> Iterator[NDA
 
 
 def film(
-    run: Run,
+    run: RecordedRun,
     path: Path,
     fps: int = 20,
     rate: float = 1.0,

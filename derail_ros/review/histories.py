@@ -17,26 +17,35 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.recording.reader import ENERGY_ENTRIES, Run
+from derail_ros.recording.decoding import decode
+from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.recording.storage import BagError, open_bag
 from derail_ros.review.summary import by_severity
-from msg_adapters.definitions import deserialize
 
 FORMATS = ("csv", "parquet")
 
 STATE_COLUMNS: tuple[tuple[str, str], ...] = (
     ("x", "x_m"),
     ("y", "y_m"),
+    ("z", "z_m"),
+    ("roll", "roll_rad"),
+    ("pitch", "pitch_rad"),
     ("yaw", "yaw_rad"),
     ("coupler_angle_front", "coupler_angle_front_rad"),
     ("coupler_angle_rear", "coupler_angle_rear_rad"),
     ("vx", "vx_m_s"),
     ("vy", "vy_m_s"),
+    ("vz", "vz_m_s"),
+    ("roll_rate", "roll_rate_rad_s"),
+    ("pitch_rate", "pitch_rate_rad_s"),
     ("yaw_rate", "yaw_rate_rad_s"),
     ("coupler_rate_front", "coupler_rate_front_rad_s"),
     ("coupler_rate_rear", "coupler_rate_rear_rad_s"),
     ("ax", "ax_m_s2"),
     ("ay", "ay_m_s2"),
+    ("az", "az_m_s2"),
+    ("roll_acceleration", "roll_acceleration_rad_s2"),
+    ("pitch_acceleration", "pitch_acceleration_rad_s2"),
     ("yaw_acceleration", "yaw_acceleration_rad_s2"),
     ("coupler_acceleration_front", "coupler_acceleration_front_rad_s2"),
     ("coupler_acceleration_rear", "coupler_acceleration_rear_rad_s2"),
@@ -84,6 +93,7 @@ COUPLING_COLUMNS: tuple[tuple[str, str], ...] = (
     ("knuckle_moment", "knuckle_moment_N_m"),
     ("constraint_force_x", "coupler_force_x_N"),
     ("constraint_force_y", "coupler_force_y_N"),
+    ("axial_force", "axial_force_N"),
     ("gap_error", "coupler_error_m"),
 )
 """Field of ``derail_msgs/CouplerStates`` and name of its column: the coupling behind a car."""
@@ -190,7 +200,12 @@ def state_rows(m: Any) -> Row:
         corners = np.asarray(getattr(m, field)).reshape(n, len(CORNERS))
         for k, corner in enumerate(CORNERS):
             columns[name.format(corner)] = np.ascontiguousarray(corners[:, k])
-    return columns
+    return columns | _more(m)
+
+
+def _more(m: Any) -> Row:
+    """Further quantities of a message, by name."""
+    return {quantity.key: np.array(quantity.values) for quantity in m.more}
 
 
 def striker_rows(m: Any) -> Row:
@@ -211,13 +226,13 @@ def coupling_rows(m: Any) -> Row:
     for field, name in COUPLING_COLUMNS:
         values = np.asarray(getattr(m, field))
         columns[name] = values.astype(np.int64) if name in INTEGERS else values
-    return columns
+    return columns | _more(m)
 
 
 def energy_rows(m: Any) -> Row:
     """An energy message as columns, one row."""
     columns: Row = {"time_s": np.array([float(m.time)])}
-    return columns | {f"{e}_J": np.array([float(getattr(m, e))]) for e in ENERGY_ENTRIES}
+    return columns | {f"{e}_J": np.array([v]) for e, v in zip(m.entry, m.value.tolist())}
 
 
 STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {
@@ -232,7 +247,7 @@ def _column(rows: Sequence[Any], get: Callable[[Any], Any]) -> list[Any]:
     return [get(row) for row in rows]
 
 
-def collision_rows(run: Run) -> Row:
+def collision_rows(run: RecordedRun) -> Row:
     """The collisions as columns, the hardest first."""
     rows = by_severity(run)
     columns: dict[str, Callable[[Any], Any]] = {
@@ -258,14 +273,13 @@ def collision_rows(run: Run) -> Row:
     return {name: _column(rows, get) for name, get in columns.items()}
 
 
-def event_rows(run: Run) -> Row:
+def event_rows(run: RecordedRun) -> Row:
     """The events as columns, in order of time."""
     rows = run.events
     columns: dict[str, Callable[[Any], Any]] = {
-        "sequence": lambda e: e.sequence,
         "time_s": lambda e: e.time,
         "step": lambda e: e.step,
-        "kind": lambda e: e.kind,
+        "kind": lambda e: e.kind.word,
         "cars": lambda e: " ".join(str(c) for c in e.cars),
         "end": lambda e: e.end,
         "cause": lambda e: e.cause,
@@ -282,7 +296,7 @@ def event_rows(run: Run) -> Row:
     return {name: _column(rows, get) for name, get in columns.items()}
 
 
-def consist_rows(run: Run) -> Row:
+def consist_rows(run: RecordedRun) -> Row:
     """The train as columns, one row a car."""
     cars = run.cars
     return {
@@ -296,15 +310,15 @@ def consist_rows(run: Run) -> Row:
         "pivot_distance_m": cars.pivot,
         "truck_distance_m": cars.truck,
         "represents_cars": cars.represents,
-        "derailed_at_s": run.result.derail_time,
-        "derailed_speed_m_s": run.result.derail_speed,
-        "peak_corner_force_N": run.result.car_peak,
-        "peak_corner_force_time_s": run.result.car_peak_time,
-        "peak_corner_force_other_car": run.result.car_peak_other,
+        "derailed_at_s": run.outcome.derail_time,
+        "derailed_speed_m_s": run.outcome.derail_speed,
+        "peak_corner_force_N": run.outcome.car_peak_force,
+        "peak_corner_force_time_s": run.outcome.car_peak_time,
+        "peak_corner_force_other_car": run.outcome.car_peak_other,
     }
 
 
-def export(run: Run, folder: Path, form: str = "csv") -> dict[str, int]:
+def export(run: RecordedRun, folder: Path, form: str = "csv") -> dict[str, int]:
     """Write the tables of a run; returns their files and numbers of rows.
 
     Raises
@@ -341,7 +355,7 @@ def export(run: Run, folder: Path, form: str = "csv") -> dict[str, int]:
     return counts
 
 
-def _stream(run: Run) -> Iterator[tuple[Any, str]]:
+def _stream(run: RecordedRun) -> Iterator[tuple[Any, str]]:
     """The state messages of a run, each moment once."""
     bag = open_bag(run.path)
     wanted = {f"derail_msgs/msg/{name}": name for name in STREAMS}
@@ -351,7 +365,7 @@ def _stream(run: Run) -> Iterator[tuple[Any, str]]:
         lambda c: c.msgtype in wanted and c.topic.rpartition("/")[0] == prefix
     ):
         try:
-            message = deserialize(data, channel.msgtype)
+            message = decode(channel, data)
         except Exception as error:  # whatever bytes that are no message make rosbags raise
             raise BagError(f"{run.path}: a message of {channel.topic} cannot be read") from error
         name = wanted[channel.msgtype]

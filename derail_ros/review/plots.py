@@ -30,23 +30,25 @@ from derail_ros.review.figures import (
     WIDTH,
     legend_above,
 )
+from derail_ros.review.run_scene import scene_at
 from derail_ros.review.summary import by_severity
+from derail_ros.vocabulary.events import Collision, EventKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from derail_ros.recording.reader import Contact, Run
+    from derail_ros.recording.recorded_run import RecordedRun
 
 SUBTLE = "#555555"
 GREEN = "#009e73"
 BLUE = "#0072b2"
 
 ENERGY_LOOK: tuple[tuple[str, str, str, str], ...] = (
-    ("work_brakes", "brakes", "#56b4e9", ""),
-    ("work_ground_trucks", "ground, under derailed trucks", "#e69f00", ""),
-    ("work_ground_body", "ground, under uncoupled cars", "#f0e442", "////"),
-    ("work_collisions", "collisions", "#d55e00", "xxxx"),
+    ("brakes", "brakes", "#56b4e9", ""),
+    ("ground_trucks", "ground, under derailed trucks", "#e69f00", ""),
+    ("ground_body", "ground, under uncoupled cars", "#f0e442", "////"),
+    ("collisions", "collisions", "#d55e00", "xxxx"),
     ("rest", "draft gear, parted couplers, springs", "#cc79a7", ""),
 )
 """Entry of the ledger, label, fill and hatch."""
@@ -64,9 +66,9 @@ BEFORE = 0.25
 """How long before the contact its scene is drawn, s."""
 
 
-def main_collisions(run: Run, count: int = 4) -> list[Contact]:
+def main_collisions(run: RecordedRun, count: int = 4) -> list[Collision]:
     """The hardest collisions, of each pair of cars one; the hardest first."""
-    chosen: list[Contact] = []
+    chosen: list[Collision] = []
     pairs: set[frozenset[int]] = set()
     for contact in by_severity(run):
         pair = frozenset((contact.car_a, contact.car_b))
@@ -78,13 +80,13 @@ def main_collisions(run: Run, count: int = 4) -> list[Contact]:
     return chosen
 
 
-def collision(run: Run, contact: Contact) -> Figure:
+def collision(run: RecordedRun, contact: Collision) -> Figure:
     """Draw a collision: just before the cars touch, and at the peak of the force."""
     with matplotlib.rc_context(STYLE):
         return _collision(run, contact)
 
 
-def _collision(run: Run, contact: Contact) -> Figure:
+def _collision(run: RecordedRun, contact: Collision) -> Figure:
     times = (max(float(run.time[0]), contact.start - BEFORE), contact.peak_time)
     window = _around(run, contact, times)
     gap = 0.35
@@ -103,7 +105,7 @@ def _collision(run: Run, contact: Contact) -> Figure:
             (left / WIDTH, bottom / height, inner / WIDTH, tall / height), zorder=1
         )
         figures._prepare(axes, window)
-        scene = run.scene(time)
+        scene = scene_at(run, time)
         points = inner * 72.0 / (window[1] - window[0])
         figures._draw_track(axes, scene, window, points)
         figures._draw_cars(axes, _without_forces(scene), window, points)
@@ -167,11 +169,11 @@ def _without_forces(scene: Any) -> Any:
     return replace(scene, peak_force=np.full(len(scene.pose), np.nan))
 
 
-def _around(run: Run, contact: Contact, times: Sequence[float]) -> figures.Window:
+def _around(run: RecordedRun, contact: Collision, times: Sequence[float]) -> figures.Window:
     """Window around both cars at both times, at least 50 m wide."""
     points = []
     for time in times:
-        corners = run.scene(time).corners()
+        corners = scene_at(run, time).corners()
         points += [corners[car - 1] for car in (contact.car_a, contact.car_b)]
     flat = np.concatenate(points)
     low, high = flat.min(axis=0) - 8.0, flat.max(axis=0) + 8.0
@@ -184,7 +186,7 @@ def _around(run: Run, contact: Contact, times: Sequence[float]) -> figures.Windo
     return x0, x1, y0, y1
 
 
-def _draw_velocities(axes: Axes, run: Run, time: float, window: figures.Window) -> None:
+def _draw_velocities(axes: Axes, run: RecordedRun, time: float, window: figures.Window) -> None:
     i = run.at(time)
     pose = run.pose_at(time)
     for k in range(run.n):
@@ -209,7 +211,7 @@ def _draw_velocities(axes: Axes, run: Run, time: float, window: figures.Window) 
         ).set_clip_on(True)
 
 
-def _draw_pair(axes: Axes, scene: Any, contact: Contact) -> None:
+def _draw_pair(axes: Axes, scene: Any, contact: Collision) -> None:
     corners = scene.corners()
     for car in (contact.car_a, contact.car_b):
         axes.add_patch(
@@ -217,7 +219,7 @@ def _draw_pair(axes: Axes, scene: Any, contact: Contact) -> None:
         )
 
 
-def _draw_force(axes: Axes, contact: Contact, window: figures.Window) -> None:
+def _draw_force(axes: Axes, contact: Collision, window: figures.Window) -> None:
     long = 0.14 * (window[1] - window[0])
     n = np.array([contact.normal_x, contact.normal_y])
     at = np.array([contact.x, contact.y])
@@ -285,7 +287,7 @@ def _sheet(height: float, right: float, title: str, note: str) -> tuple[Figure, 
     return figure, axes
 
 
-def _end(run: Run) -> float:
+def _end(run: RecordedRun) -> float:
     """Where the time axis ends, s."""
     return float(run.time[-1])
 
@@ -295,18 +297,22 @@ def _time_axis(axes: Axes, start: float, end: float) -> None:
     axes.set_xlim(start, end if end > start else start + 0.1)
 
 
-def _active(run: Run) -> list[int]:
+def _active(run: RecordedRun) -> list[int]:
     """Indices of the cars that derailed, parted or were struck."""
     found = {int(i) for i in np.flatnonzero(run.derailed.any(axis=0) & run.cars.real)}
-    for c in run.contacts:
+    for c in run.collisions:
         found |= {car - 1 for car in (c.car_a, c.car_b) if car <= run.n}
     return sorted(found)
 
 
-MARKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("truck_derailed", "leaves the rails", {"marker": "v", "mfc": "#e69f00", "mec": INK}),
-    ("coupler_parted", "coupling parts", {"marker": "x", "mfc": INK, "mec": INK, "mew": 1.3}),
-    ("car_at_rest", "comes to rest", {"marker": "s", "mfc": "white", "mec": INK}),
+MARKS: tuple[tuple[EventKind, str, dict[str, Any]], ...] = (
+    (EventKind.TRUCK_DERAILED, "leaves the rails", {"marker": "v", "mfc": "#e69f00", "mec": INK}),
+    (
+        EventKind.COUPLER_PARTED,
+        "coupling parts",
+        {"marker": "x", "mfc": INK, "mec": INK, "mew": 1.3},
+    ),
+    (EventKind.CAR_AT_REST, "comes to rest", {"marker": "s", "mfc": "white", "mec": INK}),
 )
 
 
@@ -324,13 +330,13 @@ def _colour_bar(figure: Figure, axes: Axes, norm: Normalize, note: str) -> None:
     scale.update_ticks()
 
 
-def speeds(run: Run) -> Figure:
+def speeds(run: RecordedRun) -> Figure:
     """Draw the speed of each car over time, with what happened to it."""
     with matplotlib.rc_context(STYLE):
         return _speeds(run)
 
 
-def _speeds(run: Run) -> Figure:
+def _speeds(run: RecordedRun) -> Figure:
     active = _active(run)
     calm = [i for i in range(run.n) if i not in active]
     notes = []
@@ -356,15 +362,15 @@ def _speeds(run: Run) -> Figure:
     for kind, label, look in MARKS[:2]:
         for e in run.events:
             first = e.kind == kind and e.cars and e.cars[0] <= run.n
-            if not first or (kind == "truck_derailed" and (e.cars[0], kind) in used):
+            if not first or (kind == EventKind.TRUCK_DERAILED and (e.cars[0], kind) in used):
                 continue
             used.add((e.cars[0], kind))
             at = np.interp(e.time, run.time, speed[:, e.cars[0] - 1])
             axes.plot(e.time, at, ls="", ms=5, zorder=5, **look)
         if any(k == kind for _, k in used):
-            text = "first truck leaves the rails" if kind == "truck_derailed" else label
+            text = "first truck leaves the rails" if kind == EventKind.TRUCK_DERAILED else label
             handles.append(Line2D([], [], ls="", ms=5, label=text, **look))
-    hard = [c for c in run.contacts if c.peak_force >= RUPTURE]
+    hard = [c for c in run.collisions if c.peak_force >= RUPTURE]
     for c in hard:
         for car in (c.car_a, c.car_b):
             if car <= run.n:
@@ -415,7 +421,7 @@ def _from_kmh(value: NDArray) -> NDArray:
     return np.asarray(value) / 3.6
 
 
-def energy_over_time(run: Run) -> Figure | None:
+def energy_over_time(run: RecordedRun) -> Figure | None:
     """Draw where the energy has gone, over time; None without a ledger."""
     if not run.energy:
         return None
@@ -423,12 +429,12 @@ def energy_over_time(run: Run) -> Figure | None:
         return _energy(run)
 
 
-def _energy(run: Run) -> Figure:
+def _energy(run: RecordedRun) -> Figure:
     initial = float(run.energy["initial"][0])
     unit, size = ("GJ", 1e9) if initial >= 1e9 else ("MJ", 1e6)
-    taken = {entry: -run.energy[entry] for entry, *_ in ENERGY_LOOK if entry != "rest"}
+    taken = {entry: run.energy[entry] for entry, *_ in ENERGY_LOOK if entry != "rest"}
     kinetic = run.energy["kinetic"]
-    outside = run.energy["work_external"]
+    outside = run.energy["external"]
     rest = np.maximum(initial + outside - kinetic - sum(taken.values()), 0.0)
     figure, axes = _sheet(
         5.2,
@@ -523,15 +529,13 @@ def _side_labels(
         )
 
 
-def space_time(run: Run) -> Figure:
+def space_time(run: RecordedRun) -> Figure:
     """Draw where each car was at each time along the track, with the events."""
     with matplotlib.rc_context(STYLE):
         return _space_time(run)
 
 
-def _space_time(run: Run) -> Figure:
-    from derail_ros.recording.reader import along_track
-
+def _space_time(run: RecordedRun) -> Figure:
     active = _active(run)
     shown = list(range(min(run.n, (active[-1] if active else 0) + 6)))
     figure, axes = _sheet(
@@ -544,7 +548,7 @@ def _space_time(run: Run) -> Figure:
     index = np.unique(np.append(np.arange(0, len(run.time), step), len(run.time) - 1))
     time = run.time[index]
     flat = run.pose[index][:, shown, :2]
-    s, _ = along_track(run.line, flat[..., 0].ravel(), flat[..., 1].ravel())
+    s, _ = run.line.locate_all(flat[..., 0].ravel(), flat[..., 1].ravel())
     s = s.reshape(len(index), len(shown))
     off = run.derailed[index][:, shown]
     for k in range(len(shown)):
@@ -558,13 +562,13 @@ def _space_time(run: Run) -> Figure:
     for kind, label, look in MARKS:
         points = _event_places(run, kind, shown, time, s)
         if len(points):
-            size = 4 if kind != "car_at_rest" else 3.2
+            size = 4 if kind != EventKind.CAR_AT_REST else 3.2
             axes.plot(points[:, 0], points[:, 1], ls="", ms=size, zorder=5, **look)
             handles.append(Line2D([], [], ls="", ms=5, label=label, **look))
-    hard = [c for c in run.contacts if c.peak_force >= 1e6]
+    hard = [c for c in run.collisions if c.peak_force >= 1e6]
     if hard:
-        place, _ = along_track(
-            run.line, np.array([c.x for c in hard]), np.array([c.y for c in hard])
+        place, _ = run.line.locate_all(
+            np.array([c.x for c in hard]), np.array([c.y for c in hard])
         )
         for c, where in zip(hard, place):
             size = 3.5 + 6.0 * math.sqrt(min(c.peak_force / 25e6, 1.0))
@@ -672,7 +676,9 @@ def _apart(at: list[float], gap: float) -> list[float]:
     return [m + (k - 0.5 * (n - 1)) * gap for m, n in groups for k in range(n)]
 
 
-def _event_places(run: Run, kind: str, shown: Sequence[int], time: NDArray, s: NDArray) -> NDArray:
+def _event_places(
+    run: RecordedRun, kind: str, shown: Sequence[int], time: NDArray, s: NDArray
+) -> NDArray:
     rows = [
         (e.time, np.interp(e.time, time, s[:, shown.index(e.cars[0] - 1)]))
         for e in run.events
@@ -681,13 +687,13 @@ def _event_places(run: Run, kind: str, shown: Sequence[int], time: NDArray, s: N
     return np.array(rows).reshape(-1, 2)
 
 
-def peak_forces(run: Run) -> Figure:
+def peak_forces(run: RecordedRun) -> Figure:
     """Draw the largest force on each car."""
-    r = run.result
+    r = run.outcome
     return figures.peak_forces(
-        r.car_peak,
+        r.car_peak_force,
         r.car_peak_other,
         time=r.car_peak_time,
-        derailed=r.derailed,
+        derailed=r.derailed_cars,
         title=run.title,
     )

@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.review import summary, words
+from derail_ros.review.run_scene import scene_at
+from derail_ros.vocabulary.events import EventKind
 
 if TYPE_CHECKING:
-    from derail_ros.recording.reader import Run
+    from derail_ros.recording.recorded_run import RecordedRun
 
 STATES = 2500
 """No more states than this are put into the page; of longer runs every second, third ..."""
@@ -42,14 +44,14 @@ RESOLUTION = {
 }
 
 ENERGY_PARTS = (
-    ("work_brakes", "brakes"),
-    ("work_ground_trucks", "ground, trucks"),
-    ("work_ground_body", "ground, bodies"),
-    ("work_collisions", "collisions"),
+    ("brakes", "brakes"),
+    ("ground_trucks", "ground, trucks"),
+    ("ground_body", "ground, bodies"),
+    ("collisions", "collisions"),
 )
 
 
-def page(run: Run, facts: dict[str, Any] | None = None) -> str:
+def page(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     """The replay page of a run as HTML."""
     template, style, script = (_text(f"replay_page.{kind}") for kind in ("html", "css", "js"))
     facts = summary.findings(run) if facts is None else facts
@@ -79,7 +81,7 @@ def page(run: Run, facts: dict[str, Any] | None = None) -> str:
     return "".join(piece if k % 2 == 0 else parts[piece] for k, piece in enumerate(pieces))
 
 
-def write(run: Run, path: Path, facts: dict[str, Any] | None = None) -> Path:
+def write(run: RecordedRun, path: Path, facts: dict[str, Any] | None = None) -> Path:
     """Write the replay page of a run."""
     path.write_text(page(run, facts), encoding="utf-8")
     return path
@@ -106,7 +108,7 @@ def _capital(line: str) -> str:
     return line[:1].upper() + line[1:]
 
 
-def _source(run: Run) -> str:
+def _source(run: RecordedRun) -> str:
     states = f"{len(run.time)} states from {run.time[0]:.2f} s to {run.time[-1]:.2f} s"
     return (
         f"Recording {run.path.name}, run {run.run_id}; scenario {run.name} {run.scenario_hash};"
@@ -114,9 +116,9 @@ def _source(run: Run) -> str:
     )
 
 
-def _warnings(run: Run) -> str:
+def _warnings(run: RecordedRun) -> str:
     notes = [html.escape(w) for w in run.warnings]
-    if run.result.void:
+    if run.outcome.void:
         notes.insert(0, "Not a valid run: a body that stands for many cars reached the break.")
     if not notes:
         return ""
@@ -157,18 +159,18 @@ def _some(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.append(np.arange(0, count, step), count - 1))
 
 
-def data(run: Run, facts: dict[str, Any]) -> dict[str, Any]:
+def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
     """All that the page shows, as plain data."""
     keep = _some(len(run.time), STATES)
     columns = {
         "time": run.time[keep],
         "x": run.pose[keep, :, 0],
         "y": run.pose[keep, :, 1],
-        "yaw": run.pose[keep, :, 2],
-        "alpha": run.coupler[keep, :, 0],
-        "beta": run.coupler[keep, :, 1],
+        "yaw": run.pose[keep, :, 5],
+        "alpha": run.coupler_yaw[keep, :, 0],
+        "beta": run.coupler_yaw[keep, :, 1],
         "speed": run.speed[keep],
-        "force": run.contact_force[keep],
+        "force": run.corner_force[keep],
     }
     packed = [pack(name, values) for name, values in columns.items()]
     blob = zlib.compress(b"".join(raw for _, raw in packed), 9)
@@ -194,7 +196,7 @@ def data(run: Run, facts: dict[str, Any]) -> dict[str, Any]:
                 "angle": round(math.degrees(c.angle), 2) if math.isfinite(c.angle) else 0.0,
                 "touch": c.touch,
             }
-            for c in run.contacts
+            for c in run.collisions
         ],
         "timeline": [
             {
@@ -210,7 +212,7 @@ def data(run: Run, facts: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _car(run: Run, i: int) -> dict[str, Any]:
+def _car(run: RecordedRun, i: int) -> dict[str, Any]:
     cars = run.cars
     return {
         "name": cars.name[i],
@@ -226,7 +228,7 @@ def _car(run: Run, i: int) -> dict[str, Any]:
     }
 
 
-def _track(run: Run) -> dict[str, Any]:
+def _track(run: RecordedRun) -> dict[str, Any]:
     line = run.line
     low, high = run.pose[..., :2].min(axis=(0, 1)), run.pose[..., :2].max(axis=(0, 1))
     if line.straight:
@@ -258,10 +260,10 @@ def _smooth(s: NDArray[Any], knots: NDArray[Any], values: NDArray[Any]) -> NDArr
     )
 
 
-def site(run: Run) -> list[float]:
+def site(run: RecordedRun) -> list[float]:
     """Window around the derailed cars at the end and the breaks (the train, if none derailed)."""
     off = run.derailed[-1] & run.cars.real
-    scene = run.scene(float(run.time[-1]))
+    scene = scene_at(run, float(run.time[-1]))
     corners = scene.corners()
     chosen = corners[off] if off.any() else corners[run.cars.real]
     points = [chosen.reshape(-1, 2)]
@@ -278,11 +280,11 @@ def site(run: Run) -> list[float]:
     return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
 
 
-def _off(run: Run) -> list[list[float | None]]:
+def _off(run: RecordedRun) -> list[list[float | None]]:
     """Time at which each truck left the rails: that of the event, or of the first state."""
     times: list[list[float | None]] = [[None, None] for _ in range(run.n)]
     for e in run.events:
-        if e.kind == "truck_derailed" and e.cars and e.cars[0] <= run.n and e.end:
+        if e.kind == EventKind.TRUCK_DERAILED and e.cars and e.cars[0] <= run.n and e.end:
             pair = times[e.cars[0] - 1]
             k = 0 if e.end == "front" else 1
             if pair[k] is None:
@@ -294,11 +296,11 @@ def _off(run: Run) -> list[list[float | None]]:
     return times
 
 
-def _parted(run: Run) -> list[float | None]:
+def _parted(run: RecordedRun) -> list[float | None]:
     """Time at which each coupling parted."""
     times: list[float | None] = [None] * max(run.n - 1, 0)
     for e in run.events:
-        if e.kind == "coupler_parted" and e.cars and min(e.cars) < run.n:
+        if e.kind == EventKind.COUPLER_PARTED and e.cars and min(e.cars) < run.n:
             times[min(e.cars) - 1] = round(e.time, 6)
     for i in np.flatnonzero(~run.coupled[-1]):
         if times[i] is None:
@@ -306,7 +308,7 @@ def _parted(run: Run) -> list[float | None]:
     return times
 
 
-def _car_events(run: Run) -> list[list[dict[str, Any]]]:
+def _car_events(run: RecordedRun) -> list[list[dict[str, Any]]]:
     """What happened to each car, in order."""
     rows: list[list[dict[str, Any]]] = [[] for _ in range(run.n)]
 
@@ -316,29 +318,29 @@ def _car_events(run: Run) -> list[list[dict[str, Any]]]:
 
     for e in run.events:
         if e.cars and e.kind in (
-            "truck_derailed",
-            "coupler_parted",
-            "car_at_rest",
-            "brake_signal_reached",
+            EventKind.TRUCK_DERAILED,
+            EventKind.COUPLER_PARTED,
+            EventKind.CAR_AT_REST,
+            EventKind.BRAKE_SIGNAL_REACHED,
         ):
             for car in e.cars[:2]:
-                add(car, e.time, e.kind, words.event(e))
-    for c in run.contacts:
+                add(car, e.time, e.kind.word, e.text)
+    for c in run.collisions:
         for car in (c.car_a, c.car_b):
-            add(car, c.peak_time, "collision", words.collision(c))
+            add(car, c.peak_time, "collision", c.text)
     for row in rows:
         row.sort(key=lambda r: r["time"])
     return rows
 
 
-def _energy(run: Run) -> dict[str, Any] | None:
+def _energy(run: RecordedRun) -> dict[str, Any] | None:
     if not run.energy or float(run.energy["initial"][0]) <= 0.0:
         return None
     keep = _some(len(run.energy_time), ENERGY_ROWS)
     ledger = {name: values[keep] for name, values in run.energy.items()}
     parts = [("motion", ledger["kinetic"])]
-    parts += [(label, np.maximum(-ledger[name], 0.0)) for name, label in ENERGY_PARTS]
-    rest = ledger["initial"] + ledger["work_external"] - sum(values for _, values in parts)
+    parts += [(label, np.maximum(ledger[name], 0.0)) for name, label in ENERGY_PARTS]
+    rest = ledger["initial"] + ledger["external"] - sum(values for _, values in parts)
     parts.append(("draft gear and couplers", np.maximum(rest, 0.0)))
     return {
         "initial": float(ledger["initial"][0]),

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 import derail_ros
-from derail_ros.recording.reader import Contact, Happening, Run
+from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.review import words
+from derail_ros.review.run_scene import scene_at
 from derail_ros.review.scene import Scene
+from derail_ros.vocabulary.events import Collision, Event, EventKind
+from derail_ros.vocabulary.severity import severity
 
 FORMAT = "derail_ros/review"
 VERSION = 1
@@ -26,7 +30,7 @@ def number(value: float) -> float | None:
 # --- cars ------------------------------------------------------------------------------------
 
 
-def car_findings(run: Run) -> list[dict[str, Any]]:
+def car_findings(run: RecordedRun) -> list[dict[str, Any]]:
     """What came of each car: where and when it derailed, parted, was struck, came to rest."""
     rows: list[dict[str, Any]] = []
     for i in range(run.n):
@@ -42,15 +46,15 @@ def car_findings(run: Run) -> list[dict[str, Any]]:
                 "parted_front": None,
                 "parted_rear": None,
                 "struck": [],
-                "peak_force_N": float(run.result.car_peak[i]),
-                "peak_force_from": int(run.result.car_peak_other[i]) or None,
-                "peak_force_time_s": number(run.result.car_peak_time[i]),
+                "peak_force_N": float(run.outcome.car_peak_force[i]),
+                "peak_force_from": int(run.outcome.car_peak_other[i]) or None,
+                "peak_force_time_s": number(run.outcome.car_peak_time[i]),
                 "at_rest": None,
                 "pushed_on_until_s": None,
                 "end": {
                     "x_m": float(run.pose[-1, i, 0]),
                     "y_m": float(run.pose[-1, i, 1]),
-                    "yaw_rad": float(run.pose[-1, i, 2]),
+                    "yaw_rad": float(run.pose[-1, i, 5]),
                 },
             }
         )
@@ -58,19 +62,19 @@ def car_findings(run: Run) -> list[dict[str, Any]]:
         if not e.cars or e.cars[0] > run.n:
             continue
         row = rows[e.cars[0] - 1]
-        if e.kind == "truck_derailed":
+        if e.kind == EventKind.TRUCK_DERAILED:
             found = _moment(e) | {"truck": e.end, "cause": e.cause}
             row["trucks"].append(found)
             row["derailed"] = row["derailed"] or found
-        elif e.kind == "coupler_parted" and len(e.cars) > 1:
+        elif e.kind == EventKind.COUPLER_PARTED and len(e.cars) > 1:
             found = _moment(e) | {"cause": e.cause, "angle_rad": number(e.value)}
             row["parted_rear"] = found | {"from": e.cars[1]}
             if e.cars[1] <= run.n:
                 rows[e.cars[1] - 1]["parted_front"] = found | {"from": e.cars[0]}
-        elif e.kind == "car_at_rest":
+        elif e.kind == EventKind.CAR_AT_REST:
             row["at_rest"] = _moment(e)  # the last time counts: a car may be pushed on
             row["pushed_on_until_s"] = _pushed_on(run, e.cars[0] - 1, e.time)
-    for c in run.contacts:
+    for c in run.collisions:
         for car, other in ((c.car_a, c.car_b), (c.car_b, c.car_a)):
             if car <= run.n:
                 rows[car - 1]["struck"].append(
@@ -89,14 +93,14 @@ PUSHED = 0.25
 """A car at rest that moves further than this again was pushed on, m."""
 
 
-def _pushed_on(run: Run, i: int, rest: float) -> float | None:
+def _pushed_on(run: RecordedRun, i: int, rest: float) -> float | None:
     """Until when a car that had come to rest was still being pushed, None if it was not."""
     gap = np.hypot(*(run.pose[:, i, :2] - run.pose[-1, i, :2]).T)
     away = np.flatnonzero((gap > PUSHED) & (run.time > rest + 0.1))
     return float(run.time[away[-1]]) if len(away) else None
 
 
-def _moment(e: Happening) -> dict[str, Any]:
+def _moment(e: Event) -> dict[str, Any]:
     return {
         "time_s": e.time,
         "x_m": number(e.x),
@@ -109,19 +113,19 @@ def _moment(e: Happening) -> dict[str, Any]:
 # --- collisions and timeline -----------------------------------------------------------------
 
 
-def by_severity(run: Run) -> list[Contact]:
+def by_severity(run: RecordedRun) -> list[Collision]:
     """The collisions, the hardest first."""
-    return sorted(run.contacts, key=lambda c: (-c.peak_force, c.id))
+    return sorted(run.collisions, key=lambda c: (-c.peak_force, c.id))
 
 
-def collision_finding(c: Contact) -> dict[str, Any]:
+def collision_finding(c: Collision) -> dict[str, Any]:
     """A collision as plain data."""
     return {
         "id": c.id,
         "final": c.final,
         "striking_car": c.car_a,
         "struck_car": c.car_b,
-        "text": words.collision(c),
+        "text": c.text,
         "start_s": c.start,
         "end_s": number(c.end),
         "peak_force_N": c.peak_force,
@@ -136,20 +140,20 @@ def collision_finding(c: Contact) -> dict[str, Any]:
     }
 
 
-def timeline(run: Run) -> list[dict[str, Any]]:
+def timeline(run: RecordedRun) -> list[dict[str, Any]]:
     """Events and notable collisions in order of time, what is alike in one entry."""
     entries: list[dict[str, Any]] = []
-    signals: list[Happening] = []
-    rests: dict[int, Happening] = {}
+    signals: list[Event] = []
+    rests: dict[int, Event] = {}
     for e in run.events:
-        if e.kind == "brake_signal_reached":
+        if e.kind == EventKind.BRAKE_SIGNAL_REACHED:
             signals.append(e)
-        elif e.kind == "car_at_rest" and e.cars:
+        elif e.kind == EventKind.CAR_AT_REST and e.cars:
             rests[e.cars[0]] = e
         else:
             entries.append(
                 _moment(e)
-                | {"kind": e.kind, "cars": list(e.cars), "cause": e.cause, "text": words.event(e)}
+                | {"kind": e.kind.word, "cars": list(e.cars), "cause": e.cause, "text": e.text}
             )
     if signals:
         cars = sorted(e.cars[0] for e in signals if e.cars)
@@ -167,7 +171,7 @@ def timeline(run: Run) -> list[dict[str, Any]]:
             }
         )
     entries += _rests(rests)
-    for c in run.contacts:
+    for c in run.collisions:
         if c.peak_force >= NOTABLE:
             entries.append(
                 {
@@ -175,7 +179,7 @@ def timeline(run: Run) -> list[dict[str, Any]]:
                     "kind": "collision",
                     "cars": [c.car_a, c.car_b],
                     "cause": "",
-                    "text": words.collision(c),
+                    "text": c.text,
                     "x_m": c.x,
                     "y_m": c.y,
                     "force_N": c.peak_force,
@@ -186,10 +190,10 @@ def timeline(run: Run) -> list[dict[str, Any]]:
     return sorted(entries, key=lambda e: (e["time_s"], e["kind"].startswith("run_ended")))
 
 
-def _rests(rests: dict[int, Happening]) -> list[dict[str, Any]]:
+def _rests(rests: dict[int, Event]) -> list[dict[str, Any]]:
     """Cars that came to rest for good, those of one moment in one entry."""
     entries: list[dict[str, Any]] = []
-    group: list[Happening] = []
+    group: list[Event] = []
 
     def close() -> None:
         if group:
@@ -216,9 +220,9 @@ def _rests(rests: dict[int, Happening]) -> list[dict[str, Any]]:
 # --- all of it -------------------------------------------------------------------------------
 
 
-def findings(run: Run) -> dict[str, Any]:
+def findings(run: RecordedRun) -> dict[str, Any]:
     """What happened in a run, as data for JSON."""
-    r = run.result
+    r = run.outcome
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -249,24 +253,22 @@ def findings(run: Run) -> dict[str, Any]:
             "void": r.void,
             "time_s": number(r.time),
             "duration_s": number(r.duration),
-            "cars_derailed": len(r.derailed),
-            "derailed_cars": list(r.derailed),
+            "cars_derailed": len(r.derailed_cars),
+            "derailed_cars": list(r.derailed_cars),
             "peak_force_N": r.peak_force,
-            "peak_force_pair": list(r.peak_pair) if r.peak_pair[0] else None,
-            "peak_force_time_s": number(r.peak_time),
+            "peak_force_pair": list(r.peak_force_pair) if r.peak_force_pair else None,
+            "peak_force_time_s": number(r.peak_force_time),
             "peak_resultant_N": r.peak_resultant,
-            "scene_length_m": number(r.length),
-            "scene_width_m": number(r.width),
-            "scene_area_m2": number(r.area),
-            "cars_above_5MN": list(r.above_5MN),
-            "cars_above_10MN": list(r.above_10MN),
-            "rear_part_first_car": r.rear_car or None,
-            "rear_part_stopped_at_m": number(
-                r.rear_stop if math.isfinite(r.duration) else math.nan
-            ),
-            "max_coupler_gap_m": number(r.max_gap),
-            "energy_residual": number(r.residual),
-            "severity": number(r.severity),
+            "scene_length_m": number(r.scene_length),
+            "scene_width_m": number(r.scene_width),
+            "scene_area_m2": number(r.scene_area),
+            "cars_above_5MN": list(r.cars_above_5MN),
+            "cars_above_10MN": list(r.cars_above_10MN),
+            "rear_part_first_car": r.rear_part_first_car or None,
+            "rear_part_stopped_at_m": number(r.rear_stop),
+            "max_coupler_gap_m": number(r.max_coupler_gap),
+            "energy_residual": number(r.energy_residual),
+            "severity": number(severity(r)),
         },
         "stopped_by": {
             "text": words.stopped_by(run),
@@ -285,10 +287,10 @@ def findings(run: Run) -> dict[str, Any]:
 # --- text ------------------------------------------------------------------------------------
 
 
-def text(run: Run, facts: dict[str, Any] | None = None) -> str:
+def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     """What happened in a run, for people: about a page for each part."""
     facts = findings(run) if facts is None else facts
-    r = run.result
+    r = run.outcome
     lines: list[str] = [run.title, "=" * len(run.title), ""]
     lines += _wrap(_capital(words.sentence(run)) + ".", 96)
     lines += _wrap(words.stopped_by(run), 96)
@@ -332,45 +334,58 @@ def _wrap(line: str, width: int) -> list[str]:
     return [part.replace("\0", " ") for part in textwrap.wrap(tied, width)] or [""]
 
 
-def _outcome(run: Run) -> list[str]:
-    r = run.result
-    rows: list[tuple[str, str]] = [("cars derailed", f"{len(r.derailed)}")]
-    if r.derailed:
-        rows[0] = ("cars derailed", f"{len(r.derailed)}: {words.number_list(r.derailed)}")
+def _listed(numbers: Sequence[int]) -> str:
+    return f"{len(numbers)}: {words.number_list(numbers)}"
+
+
+def _outcome(run: RecordedRun) -> list[str]:
+    r = run.outcome
+    rows: list[tuple[str, str]] = [("cars derailed", f"{len(r.derailed_cars)}")]
+    if r.derailed_cars:
+        rows[0] = (
+            "cars derailed",
+            f"{len(r.derailed_cars)}: {words.number_list(r.derailed_cars)}",
+        )
     rows.append(("speed at the start", words.speed(run.initial_speed)))
     status = r.status if r.final else f"{r.status} (the end is not recorded)"
     if math.isfinite(r.duration):
         rows.append((status, f"after {r.duration:.2f} s"))
     else:
         rows.append((status, f"at {r.time:.2f} s, not at rest"))
-    if r.peak_pair[0]:
-        a, b = r.peak_pair
+    if r.peak_force_pair:
+        a, b = r.peak_force_pair
         rows.append(
             (
                 "largest force",
-                f"{words.force(r.peak_force)}, car {a} into car {b} at {r.peak_time:.2f} s",
+                f"{words.force(r.peak_force)}, car {a} into car {b} at {r.peak_force_time:.2f} s",
             )
         )
-        rows.append(("above 5 MN", f"{len(r.above_5MN)}: {words.number_list(r.above_5MN)}"))
-        rows.append(("above 10 MN", f"{len(r.above_10MN)}: {words.number_list(r.above_10MN)}"))
-    if r.derailed:
-        rows.append(("scene", f"{r.length:.1f} m × {r.width:.1f} m, {r.area:.0f} m²"))
-        if math.isfinite(r.severity):
-            rows.append(("severity", f"{r.severity:.2f} (the source's base train: 1)"))
-    if r.rear_car:
+        rows.append(
+            ("above 5 MN", f"{len(r.cars_above_5MN)}: {words.number_list(r.cars_above_5MN)}")
+        )
+        rows.append(
+            ("above 10 MN", f"{len(r.cars_above_10MN)}: {words.number_list(r.cars_above_10MN)}")
+        )
+    if r.derailed_cars:
+        rows.append(
+            ("scene", f"{r.scene_length:.1f} m × {r.scene_width:.1f} m, {r.scene_area:.0f} m²")
+        )
+        if math.isfinite(severity(r)):
+            rows.append(("severity", f"{severity(r):.2f} (the source's base train: 1)"))
+    if r.rear_part_first_car:
         stop = f" at {r.rear_stop:.1f} m" if math.isfinite(r.rear_stop) else ""
         # Without a parted coupling ahead of it there is no part that stands by itself.
-        parted = not run.coupled[-1][: r.rear_car - 1].all()
+        parted = not run.coupled[-1][: r.rear_part_first_car - 1].all()
         stands = "rear part stands" if math.isfinite(r.duration) else "rear part"
         label = stands if parted else "still on the rails"
-        rows.append((label, f"from car {r.rear_car} on, its front truck{stop}"))
+        rows.append((label, f"from car {r.rear_part_first_car} on, its front truck{stop}"))
     return [f"  {label:<20}{value}" for label, value in rows]
 
 
 SHOWN = 40
 
 
-def _collisions(run: Run) -> list[str]:
+def _collisions(run: RecordedRun) -> list[str]:
     ranked = by_severity(run)
     if not ranked:
         return ["  none"]
@@ -389,7 +404,7 @@ def _collisions(run: Run) -> list[str]:
     return lines
 
 
-def _cars(run: Run, rows: list[dict[str, Any]]) -> list[str]:
+def _cars(run: RecordedRun, rows: list[dict[str, Any]]) -> list[str]:
     lines: list[str] = []
     quiet: list[int] = []
     for row in rows:
@@ -443,6 +458,6 @@ def _cargo(row: dict[str, Any]) -> str:
     return "" if not contents or contents in row["name"] else contents
 
 
-def final_scene(run: Run) -> Scene:
+def final_scene(run: RecordedRun) -> Scene:
     """The scene at the end of the recording, with its title."""
-    return run.scene(float(run.time[-1]), run.title, words.sentence(run))
+    return scene_at(run, float(run.time[-1]), run.title, words.sentence(run))

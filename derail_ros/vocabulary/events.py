@@ -34,6 +34,11 @@ class EventKind(enum.IntEnum):
     RUN_FAILED = 9
     RUN_RESET = 10
 
+    @property
+    def word(self) -> str:
+        """Its name in JSON, tables and messages: ``truck_derailed``."""
+        return self.name.lower()
+
 
 @dataclass(frozen=True)
 class Event:

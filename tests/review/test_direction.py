@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from derail_ros.recording.reader import Run
+from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.review import comparison, figures, film
 from derail_ros.review.replay_page import write
 from derail_ros.review.summary import final_scene
@@ -19,7 +19,7 @@ TURNS = (0.0, 1.9, -2.6)
 """Angles by which the whole run is turned, rad."""
 
 
-def turned(run: Run, angle: float) -> Run:
+def turned(run: RecordedRun, angle: float) -> RecordedRun:
     """The same run on a track that leads elsewhere."""
     c, s = math.cos(angle), math.sin(angle)
 
@@ -28,7 +28,7 @@ def turned(run: Run, angle: float) -> Run:
 
     pose = run.pose.copy()
     pose[..., 0], pose[..., 1] = turn(run.pose[..., 0], run.pose[..., 1])
-    pose[..., 2] += angle
+    pose[..., 5] += angle
     line = run.line
     along = np.linspace(-1000.0, 1000.0, 201)
     breaks = line.breaks.copy()
@@ -53,7 +53,9 @@ def arrows(figure: Any) -> list[tuple[float, float]]:
 
 
 @pytest.mark.parametrize("angle", TURNS)
-def test_the_arrow_of_figures_and_films_lies_along_the_track(run: Run, angle: float) -> None:
+def test_the_arrow_of_figures_and_films_lies_along_the_track(
+    run: RecordedRun, angle: float
+) -> None:
     way = pytest.approx((math.cos(angle), math.sin(angle)), abs=1e-6)
     there = turned(run, angle)
     assert final_scene(there).travel == way
@@ -64,14 +66,14 @@ def test_the_arrow_of_figures_and_films_lies_along_the_track(run: Run, angle: fl
     assert figures.TRAVEL in [t.get_text() for t in stage.axes.texts]
 
 
-def test_two_scenes_have_one_arrow_or_each_its_own(run: Run) -> None:
+def test_two_scenes_have_one_arrow_or_each_its_own(run: RecordedRun) -> None:
     assert arrows(comparison.scenes(run, run)) == [pytest.approx((1.0, 0.0))]
     other = turned(run, TURNS[1])
     found = arrows(comparison.scenes(run, other))
     assert found == [pytest.approx((math.cos(a), math.sin(a)), abs=1e-6) for a in (0.0, TURNS[1])]
 
 
-def test_on_a_curve_it_is_the_track_at_the_derailed_cars(run: Run) -> None:
+def test_on_a_curve_it_is_the_track_at_the_derailed_cars(run: RecordedRun) -> None:
     """A track that turns by 90 degrees before the scene."""
     scene = final_scene(run)
     centre = scene.pose[scene.derailed, :2].mean(axis=0)
@@ -82,7 +84,9 @@ def test_on_a_curve_it_is_the_track_at_the_derailed_cars(run: Run) -> None:
 
 
 @pytest.mark.parametrize("angle", TURNS)
-def test_the_arrow_of_the_replay_page(browser, run: Run, angle: float, tmp_path: Path) -> None:
+def test_the_arrow_of_the_replay_page(
+    browser, run: RecordedRun, angle: float, tmp_path: Path
+) -> None:
     path = write(turned(run, angle), tmp_path / "replay.html")
     browser.get(path.as_uri())
     way = browser.execute_script("return derailReplay.travel")

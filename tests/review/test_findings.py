@@ -18,8 +18,11 @@ from rosbags.rosbag2 import Reader
 
 from derail_ros import cli
 from derail_ros.recording import record_run
-from derail_ros.recording.reader import ENERGY_ENTRIES, Run, read_bag, result_of
+from derail_ros.recording.derived_outcome import derive_outcome
+from derail_ros.recording.reader import read_bag
+from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.review import comparison, figures, film, histories, plots, summary, words
+from derail_ros.vocabulary.events import EventKind
 from msg_adapters.definitions import deserialize
 from tests.nodes.support import SMALL, simulation, small
 
@@ -35,47 +38,47 @@ def refuses(text: str, arguments: list[str], capsys) -> None:
 # --- words and summary -----------------------------------------------------------------------
 
 
-def test_the_summary_holds_what_the_recording_does(run: Run) -> None:
+def test_the_summary_holds_what_the_recording_does(run: RecordedRun) -> None:
     facts = summary.findings(run)
     json.dumps(facts, allow_nan=False)
-    assert facts["outcome"]["derailed_cars"] == list(run.result.derailed)
-    assert facts["outcome"]["peak_force_N"] == run.result.peak_force
-    assert len(facts["collisions"]) == len(run.contacts)
+    assert facts["outcome"]["derailed_cars"] == list(run.outcome.derailed_cars)
+    assert facts["outcome"]["peak_force_N"] == run.outcome.peak_force
+    assert len(facts["collisions"]) == len(run.collisions)
     forces = [c["peak_force_N"] for c in facts["collisions"]]
     assert forces == sorted(forces, reverse=True)
-    assert forces[0] == pytest.approx(run.result.peak_force)
+    assert forces[0] == pytest.approx(run.outcome.peak_force)
     for car in facts["cars"]:
         i = car["car"] - 1
-        assert (car["derailed"] is not None) == (car["car"] in run.result.derailed)
+        assert (car["derailed"] is not None) == (car["car"] in run.outcome.derailed_cars)
         if car["derailed"]:
-            assert car["derailed"]["time_s"] == run.result.derail_time[i]
+            assert car["derailed"]["time_s"] == run.outcome.derail_time[i]
         assert car["parted_rear"] is None or not run.coupled[-1, i]
-        struck = [c for c in run.contacts if car["car"] in (c.car_a, c.car_b)]
+        struck = [c for c in run.collisions if car["car"] in (c.car_a, c.car_b)]
         assert len(car["struck"]) == len(struck)
 
 
-def test_the_timeline_is_in_order_and_leaves_nothing_out(run: Run) -> None:
+def test_the_timeline_is_in_order_and_leaves_nothing_out(run: RecordedRun) -> None:
     line = summary.timeline(run)
     times = [e["time_s"] for e in line]
     assert times == sorted(times)
     for kind in ("truck_derailed", "coupler_parted", "rail_break_set", "run_ended"):
         there = sum(e["kind"] == kind for e in line)
-        assert there == sum(e.kind == kind for e in run.events), kind
-    hard = [c for c in run.contacts if c.peak_force >= summary.NOTABLE]
+        assert there == sum(e.kind.word == kind for e in run.events), kind
+    hard = [c for c in run.collisions if c.peak_force >= summary.NOTABLE]
     assert sum(e["kind"] == "collision" for e in line) == len(hard)
     rested = {c for e in line if e["kind"] == "car_at_rest" for c in e["cars"]}
-    assert rested == {e.cars[0] for e in run.events if e.kind == "car_at_rest"}
+    assert rested == {e.cars[0] for e in run.events if e.kind == EventKind.CAR_AT_REST}
 
 
-def test_shares_of_the_energy_add_up(run: Run) -> None:
+def test_shares_of_the_energy_add_up(run: RecordedRun) -> None:
     taken = sum(share for *_, share in words.shares(run))
-    left = run.energy["kinetic"][-1] + run.energy["striker_elastic"][-1]
-    left += run.energy["knuckle_elastic"][-1] - run.energy["work_external"][-1]
+    left = run.energy["kinetic"][-1] + run.energy["striker"][-1]
+    left += run.energy["knuckle"][-1] - run.energy["external"][-1]
     assert taken + left / run.energy["initial"][0] == pytest.approx(1.0, abs=1e-3)
     assert "the brakes" in words.stopped_by(run)
 
 
-def test_plain_words(run: Run) -> None:
+def test_plain_words(run: RecordedRun) -> None:
     assert words.number_list([1, 2, 3, 5, 7, 8]) == "1 to 3, 5, 7, 8"
     assert words.number_list([]) == "none"
     assert words.force(27.5e6) == "27.5 MN"
@@ -84,30 +87,30 @@ def test_plain_words(run: Run) -> None:
     assert words.energy(12_300.0) == "12.3 kJ"
     assert words.speed(25.0) == "25.0 m/s (90 km/h)"
     for e in run.events:
-        text = words.event(e)
+        text = e.text
         assert text
         assert "nan" not in text
     text = summary.text(run)
     assert "nan" not in text
-    for car in run.result.derailed:
+    for car in run.outcome.derailed_cars:
         assert f"Car {car}" in text
 
 
-def test_a_quiet_run_can_be_told_and_drawn(run: Run, tmp_path: Path) -> None:
+def test_a_quiet_run_can_be_told_and_drawn(run: RecordedRun, tmp_path: Path) -> None:
     """Nothing derails, nothing collides, no ledger: still a summary and figures."""
     calm = replace(
         run,
         events=(),
-        contacts=(),
+        collisions=(),
         energy={},
         truck_on=np.ones_like(run.truck_on),
         coupled=np.ones_like(run.coupled),
-        result=replace(
-            run.result,
-            derailed=(),
+        outcome=replace(
+            run.outcome,
+            derailed_cars=(),
             peak_force=0.0,
-            peak_pair=(0, 0),
-            peak_time=math.nan,
+            peak_force_pair=None,
+            peak_force_time=math.nan,
             car_peak=np.zeros(run.n),
             car_peak_other=np.zeros(run.n, dtype=np.int64),
             car_peak_time=np.full(run.n, np.nan),
@@ -238,12 +241,10 @@ def test_every_field_of_the_states_is_exported() -> None:
     from msg_adapters.definitions import field_names
 
     exported = {f for f, _ in (*histories.STATE_COLUMNS, *histories.CORNER_COLUMNS)}
-    known = {"header", "run_id", "step", "time"}
+    known = {"header", "run_id", "step", "time", "more"}
     assert set(field_names("derail_msgs/msg/TrainState")) == exported | known
     exported = {f for f, _ in (*histories.COUPLING_COLUMNS, *histories.STRIKER_COLUMNS)}
     assert set(field_names("derail_msgs/msg/CouplerStates")) == exported | known
-    ledger = set(field_names("derail_msgs/msg/EnergyLedger"))
-    assert ledger - known - {"residual_relative"} == set(ENERGY_ENTRIES)
 
 
 def test_columns_have_their_units() -> None:
@@ -282,9 +283,13 @@ def test_a_run_is_the_same_as_itself(run) -> None:
 
 
 def test_differences_are_found(run, tmp_path) -> None:
-    k, parted = next((k, e) for k, e in enumerate(run.events) if e.kind == "coupler_parted")
+    k, parted = next(
+        (k, e) for k, e in enumerate(run.events) if e.kind == EventKind.COUPLER_PARTED
+    )
     others = [e for i, e in enumerate(run.events) if i != k]
-    j = next(i for i, e in enumerate(others) if e.kind == "truck_derailed" and e.time > 0.5)
+    j = next(
+        i for i, e in enumerate(others) if e.kind == EventKind.TRUCK_DERAILED and e.time > 0.5
+    )
     later = replace(others[j], time=others[j].time + 0.25)
     others[j] = later
     scenario = {**run.scenario, "title": "another"}
@@ -293,7 +298,7 @@ def test_differences_are_found(run, tmp_path) -> None:
         events=tuple(others),
         scenario=scenario,
         title="another",
-        result=replace(run.result, derailed=run.result.derailed[:-1]),
+        outcome=replace(run.outcome, derailed_cars=run.outcome.derailed_cars[:-1]),
     )
     facts = comparison.compare(run, other)
     json.dumps(facts, allow_nan=False)
@@ -301,7 +306,7 @@ def test_differences_are_found(run, tmp_path) -> None:
     assert [e["cars"] for e in facts["events_only_in_first"]] == [list(parted.cars)]
     assert facts["events_at_other_times"][0]["difference_s"] == pytest.approx(0.25)
     assert facts["first_difference_s"] == pytest.approx(min(parted.time, later.time - 0.25))
-    assert facts["derailed_only_in_first"] == [run.result.derailed[-1]]
+    assert facts["derailed_only_in_first"] == [run.outcome.derailed_cars[-1]]
     assert facts["settings"] == [
         {"path": "title", "first": run.scenario["title"], "second": "another"}
     ]
@@ -378,57 +383,62 @@ def test_numbers_in_a_film_can_be_read(run, monkeypatch, metres) -> None:
             assert not box.overlaps(other)
 
 
-def test_a_run_that_its_time_limit_ends_is_not_said_to_be_at_rest(tmp_path, run: Run) -> None:
+def test_a_run_that_its_time_limit_ends_is_not_said_to_be_at_rest(
+    tmp_path, run: RecordedRun
+) -> None:
     text = SMALL + "\nintegration: {time_limit_s: 2.0}\n"
     record_run(simulation(text), small(text), tmp_path / "cut")
     cut = read_bag(tmp_path / "cut")
-    assert cut.result.status == "time limit"
-    assert cut.result.final
+    assert cut.outcome.status == "time limit"
+    assert cut.outcome.final
     facts = summary.findings(cut)["outcome"]
     assert facts["duration_s"] is None
-    assert f"not yet at rest at the time limit of {cut.result.time:.1f} s" in facts["text"]
+    assert f"ended by its time limit, not at rest, at {cut.outcome.time:.1f} s" in facts["text"]
     said = summary.text(cut)
-    assert f"at {cut.result.time:.2f} s, not at rest" in said
+    assert f"at {cut.outcome.time:.2f} s, not at rest" in said
     for wrong in ("at rest after", "rear part stands"):
         assert wrong not in said
-    assert f"at rest after {run.result.duration:.1f} s" in summary.text(run)
+    assert f"at rest after {run.outcome.duration:.1f} s" in summary.text(run)
 
 
 @pytest.mark.parametrize(
     ("status", "said"),
     [
         ("running", "still running at 3.0 s"),
-        ("stopped", "ended by a command at 3.0 s"),
-        ("void", "void at 3.0 s"),
-        ("failed", "the computation failed at 3.0 s"),
-        ("cut off", "the recording cut off at 3.0 s"),
+        ("stopped", "stopped by a command at 3.0 s"),
+        ("void", "void (a virtual body reached a break) at 3.0 s"),
+        ("failed", "failed at 3.0 s"),
+        ("cut off", "recorded up to 3.0 s"),
     ],
 )
-def test_what_ended_a_run_is_said(run: Run, status, said) -> None:
+def test_what_ended_a_run_is_said(run: RecordedRun, status, said) -> None:
     cut = replace(
-        run, result=replace(run.result, status=status, time=3.0, duration=math.nan, rear_stop=-9.0)
+        run,
+        outcome=replace(
+            run.outcome, status=status, time=3.0, duration=math.nan, rear_part_coordinate=-9.0
+        ),
     )
     facts = summary.findings(cut)["outcome"]
     assert said in facts["text"]
     assert facts["duration_s"] is facts["rear_part_stopped_at_m"] is None
     assert "at rest after" not in summary.text(cut)
-    assert summary.findings(run)["outcome"]["rear_part_stopped_at_m"] == run.result.rear_stop
+    assert summary.findings(run)["outcome"]["rear_part_stopped_at_m"] == run.outcome.rear_stop
 
 
-def test_a_run_that_a_command_ended_is_known_by_its_events_too(run: Run) -> None:
+def test_a_run_that_a_command_ended_is_known_by_its_events_too(run: RecordedRun) -> None:
     *before, last = run.events
-    assert last.kind == "run_ended"
+    assert last.kind == EventKind.RUN_ENDED
     by_command = replace(run, events=(*before, replace(last, cause="command")))
     for events, status, rests in ((run, "at rest", True), (by_command, "stopped", False)):
-        found = result_of(None, events)
+        found = derive_outcome(events)
         assert (found.status, math.isfinite(found.duration)) == (status, rests)
 
 
 @pytest.mark.parametrize(
     ("n", "said"), [(0, "no car derailed"), (1, "1 car derailed"), (2, "2 cars derailed")]
 )
-def test_the_number_of_cars_derailed(run: Run, n, said) -> None:
-    few = replace(run, result=replace(run.result, derailed=tuple(range(1, n + 1))))
+def test_the_number_of_cars_derailed(run: RecordedRun, n, said) -> None:
+    few = replace(run, outcome=replace(run.outcome, derailed_cars=tuple(range(1, n + 1))))
     assert words.sentence(few).startswith(f"{said}, ")
 
 
@@ -438,8 +448,8 @@ def test_a_run_that_is_not_there(bag, tmp_path, capsys, prefix, words) -> None:
 
 
 def test_the_rear_part_is_one_only_where_the_train_parted(run) -> None:
-    behind = replace(run.result, rear_car=7, rear_stop=-12.0)
-    whole = replace(run, result=behind, coupled=np.ones_like(run.coupled))
+    behind = replace(run.outcome, rear_part_first_car=7, rear_part_coordinate=-12.0)
+    whole = replace(run, outcome=behind, coupled=np.ones_like(run.coupled))
     assert "still on the rails" in summary.text(whole)
     assert "rear part" not in summary.text(whole)
     coupled = np.ones_like(run.coupled)
@@ -454,16 +464,24 @@ def test_a_run_of_one_moment_is_drawn_without_a_word(run, tmp_path) -> None:
 
     first = {
         name: getattr(run, name)[:1]
-        for name in ("time", "pose", "velocity", "coupler", "truck_on", "coupled", "brake")
+        for name in (
+            "time",
+            "pose",
+            "velocity",
+            "coupler_yaw",
+            "truck_on",
+            "coupled",
+            "brake_force",
+            "corner_force",
+        )
     }
     energy = {name: values[:1] for name, values in run.energy.items()}
     short = replace(
         run,
         **first,
-        contact_force=run.contact_force[:1],
         energy_time=run.energy_time[:1],
         energy=energy,
-        contacts=(),
+        collisions=(),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -507,7 +525,7 @@ def test_films_that_cannot_be_written(bag, tmp_path, capfd, kind) -> None:
         assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_what_ffmpeg_complains_of_is_one_line(run: Run, tmp_path, monkeypatch) -> None:
+def test_what_ffmpeg_complains_of_is_one_line(run: RecordedRun, tmp_path, monkeypatch) -> None:
     def broken(*arguments, **options):
         yield None
         raise OSError("[Errno 32] Broken pipe\n\nFFMPEG COMMAND:\nffmpeg ...")
@@ -524,6 +542,7 @@ def test_what_ffmpeg_complains_of_is_one_line(run: Run, tmp_path, monkeypatch) -
 MEASURE = """
 import pathlib, sys, time
 from derail_ros import cli
+from derail_ros.vocabulary.events import EventKind
 began = time.monotonic()
 assert cli.main(["review", sys.argv[1], "-o", sys.argv[2]]) == 0
 # Its own peak: ru_maxrss would begin with that of the process that started this one.
@@ -557,4 +576,4 @@ def test_100_mb_are_reviewed_in_a_minute_and_500_mb(tmp_path) -> None:
     assert seconds < 60.0
     assert megabytes < 500.0
     whole = read_bag(path)
-    assert whole.result.final
+    assert whole.outcome.final

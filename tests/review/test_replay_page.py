@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from derail_ros.recording.reader import Run
+from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.review import replay_page as replay
 from derail_ros.review import summary
+from derail_ros.vocabulary.events import EventKind
 from tests.review.conftest import find_browser, start_browser
 
 
@@ -54,7 +55,7 @@ class Elements(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(run: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the small recording."""
     return replay.write(run, tmp_path_factory.mktemp("page") / "replay.html")
 
@@ -130,7 +131,7 @@ def test_names_of_controls_and_identities(page: Path) -> None:
     assert used <= set(names)
 
 
-def test_what_is_packed_comes_back(run: Run) -> None:
+def test_what_is_packed_comes_back(run: RecordedRun) -> None:
     """The decoder of the page, in Python."""
     import zlib
 
@@ -192,7 +193,7 @@ def shown(browser: Any, page: Path) -> Any:
     assert browser.get_log("browser") == []
 
 
-def test_it_loads_without_errors_and_without_the_network(shown, run: Run) -> None:
+def test_it_loads_without_errors_and_without_the_network(shown, run: RecordedRun) -> None:
     assert js(shown, "return performance.getEntriesByType('resource').length") == 0
     assert js(shown, "return derailReplay.time") == pytest.approx(run.time[0])
     assert js(shown, "return derailReplay.last") == pytest.approx(run.time[-1], abs=1e-6)
@@ -200,7 +201,7 @@ def test_it_loads_without_errors_and_without_the_network(shown, run: Run) -> Non
     assert not js(shown, "return derailReplay.playing"), "it does not play of itself"
 
 
-def test_the_numbers_are_the_recordings(shown, run: Run) -> None:
+def test_the_numbers_are_the_recordings(shown, run: RecordedRun) -> None:
     facts = summary.findings(run)
     for k in np.linspace(0, len(run.time) - 1, 25).astype(int):
         time_now = float(run.time[k])
@@ -208,7 +209,7 @@ def test_the_numbers_are_the_recordings(shown, run: Run) -> None:
         for car in (1, run.n // 2, run.n):
             pose = js(shown, "return derailReplay.pose(arguments[0])", car)
             np.testing.assert_allclose(pose[:2], run.pose[k, car - 1, :2], atol=2e-3)
-            assert pose[2] == pytest.approx(run.pose[k, car - 1, 2], abs=2e-4)
+            assert pose[2] == pytest.approx(run.pose[k, car - 1, 5], abs=2e-4)
             speed = js(shown, "return derailReplay.speed(arguments[0])", car)
             assert speed == pytest.approx(run.speed[k, car - 1], abs=0.02)
             peak = js(shown, "return derailReplay.peak(arguments[0])", car)
@@ -220,7 +221,7 @@ def test_the_numbers_are_the_recordings(shown, run: Run) -> None:
         assert f"{entry['time_s']:.2f} s" in row
         assert entry["text"][1:] in row
     rows = js(shown, "return document.querySelectorAll('#collisions li').length")
-    assert rows == len(run.contacts)
+    assert rows == len(run.collisions)
 
 
 def test_it_plays_pauses_and_changes_its_speed(shown) -> None:
@@ -248,7 +249,7 @@ def test_it_plays_pauses_and_changes_its_speed(shown) -> None:
     assert js(shown, "return derailReplay.time") == js(shown, "return derailReplay.last")
 
 
-def test_it_is_scrubbed_and_stepped(shown, run: Run) -> None:
+def test_it_is_scrubbed_and_stepped(shown, run: RecordedRun) -> None:
     js(
         shown,
         "const s = document.getElementById('scrub'); s.value = '3'; "
@@ -267,7 +268,7 @@ def test_it_is_scrubbed_and_stepped(shown, run: Run) -> None:
     assert "seconds" in label
 
 
-def test_the_keyboard_does_it_all(shown, run: Run) -> None:
+def test_the_keyboard_does_it_all(shown, run: RecordedRun) -> None:
     from selenium.webdriver.common.keys import Keys
 
     js(shown, "document.getElementById('scene').focus()")
@@ -350,10 +351,10 @@ def test_every_control_can_be_reached_and_has_a_name(shown) -> None:
     assert nameless == []
 
 
-def test_events_and_collisions_jump_to_their_moment(shown, run: Run) -> None:
+def test_events_and_collisions_jump_to_their_moment(shown, run: RecordedRun) -> None:
     js(shown, "document.getElementById('filter').value = 'coupler_parted';"
               "document.getElementById('filter').dispatchEvent(new Event('change'))")  # fmt: skip
-    parted = [e for e in run.events if e.kind == "coupler_parted"]
+    parted = [e for e in run.events if e.kind == EventKind.COUPLER_PARTED]
     buttons = shown.find_elements("css selector", "#events button")
     assert len(buttons) == len(parted)
     js(shown, "arguments[0].click()", buttons[1])
@@ -365,11 +366,11 @@ def test_events_and_collisions_jump_to_their_moment(shown, run: Run) -> None:
     assert js(shown, "return derailReplay.time") == pytest.approx(hardest.start - 0.25, abs=1e-4)
 
 
-def test_a_click_on_a_car_shows_it(shown, run: Run) -> None:
+def test_a_click_on_a_car_shows_it(shown, run: RecordedRun) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
 
     js(shown, "derailReplay.seek(derailReplay.last)")
-    car = run.result.derailed[0]
+    car = run.outcome.derailed_cars[0]
     x, y = js(shown, "return derailReplay.screen(arguments[0])", car)
     scene = shown.find_element("id", "scene")
     size = scene.size
@@ -381,11 +382,11 @@ def test_a_click_on_a_car_shows_it(shown, run: Run) -> None:
     text = shown.find_element("id", "details").text
     assert f"Car {car}" in text
     assert "derailed" in text
-    peak = run.result.car_peak[car - 1]
+    peak = run.outcome.car_peak_force[car - 1]
     assert f"{peak * 1e-6:.1f} MN" in text or f"{peak * 1e-3:.0f} kN" in text
 
 
-def test_each_chart_is_a_table_too(shown, run: Run) -> None:
+def test_each_chart_is_a_table_too(shown, run: RecordedRun) -> None:
     js(shown, "document.querySelectorAll('#charts details').forEach(d => { d.open = true; })")
     wait(shown, "return document.querySelectorAll('#charts table').length === 4")
     heads = (
@@ -407,7 +408,7 @@ def test_each_chart_is_a_table_too(shown, run: Run) -> None:
         "return [...document.querySelectorAll('#table-force tbody tr')]"
         ".map(r => [...r.children].map(c => Number(c.textContent)))",
     )
-    expected = sorted(run.contacts, key=lambda c: c.peak_time)
+    expected = sorted(run.collisions, key=lambda c: c.peak_time)
     assert len(rows) == len(expected)
     for row, c in zip(rows, expected):
         assert row[0] == pytest.approx(c.peak_time, abs=6e-4)
@@ -418,17 +419,19 @@ def test_each_chart_is_a_table_too(shown, run: Run) -> None:
         "return [...document.querySelectorAll('#table-derailed tbody tr')]"
         ".map(r => Number(r.children[1].textContent))",
     )
-    assert sorted(derailed) == sorted(run.result.derailed)
+    assert sorted(derailed) == sorted(run.outcome.derailed_cars)
     last = js(
         shown,
         "return [...document.querySelector('#table-energy tbody tr:last-child').children]"
         ".map(c => Number(c.textContent))",
     )
     scale = 1e-9 if run.energy["initial"][0] >= 1e9 else 1e-6
-    assert last[2] == pytest.approx(-run.energy["work_brakes"][-1] * scale, abs=2e-3)
+    assert last[2] == pytest.approx(run.energy["brakes"][-1] * scale, abs=2e-3)
 
 
-def test_numbers_of_cars_far_off_are_whole_and_apart(browser, run: Run, tmp_path: Path) -> None:
+def test_numbers_of_cars_far_off_are_whole_and_apart(
+    browser, run: RecordedRun, tmp_path: Path
+) -> None:
     """Of a whole train: no number cut by the edge, none on another."""
     page = replay.write(long_train(run), tmp_path / "long.html")
     browser.get_log("browser")
@@ -475,7 +478,7 @@ return out;
 """
 
 
-def test_nothing_flashes(shown, run: Run) -> None:
+def test_nothing_flashes(shown, run: RecordedRun) -> None:
     """Of the scene no quarter changes its brightness to and fro as WCAG's flashes do."""
     hardest = summary.by_severity(run)[0]
     rows = []
@@ -514,7 +517,7 @@ def test_other_screens(page: Path, arguments, size) -> None:
 EVIL = "</script><img src=x onerror=hacked()><script>hacked()</script>@DATA@ & \"'\u2028 <b>bold"
 
 
-def test_strings_of_a_recording_are_only_text(browser, run: Run, tmp_path: Path) -> None:
+def test_strings_of_a_recording_are_only_text(browser, run: RecordedRun, tmp_path: Path) -> None:
     cars = replace(
         run.cars,
         name=(EVIL,) * run.n,
@@ -522,7 +525,7 @@ def test_strings_of_a_recording_are_only_text(browser, run: Run, tmp_path: Path)
         contents=(EVIL,) * run.n,
         coupler_kind=((EVIL, EVIL),) * run.n,
     )
-    events = tuple(replace(e, kind="odd", cause=EVIL, text=EVIL) for e in run.events)
+    events = tuple(replace(e, cause=EVIL) for e in run.events)
     evil = replace(
         run,
         title=EVIL,
@@ -548,7 +551,7 @@ def test_strings_of_a_recording_are_only_text(browser, run: Run, tmp_path: Path)
     assert browser.get_log("browser") == []
 
 
-def long_train(run: Run, cars: int = 110, states: int = 1500) -> Run:
+def long_train(run: RecordedRun, cars: int = 110, states: int = 1500) -> RecordedRun:
     """A run of many cars, made of what the small one has."""
     which = np.arange(cars) % run.n
     rows = np.linspace(0, len(run.time) - 1, states).astype(int)
@@ -576,13 +579,13 @@ def long_train(run: Run, cars: int = 110, states: int = 1500) -> Run:
         represents=c.represents[which],
     )
     coupled = run.coupled[rows][:, np.minimum(which[:-1], run.n - 2)]
-    result = replace(
-        run.result,
-        car_peak=run.result.car_peak[which],
-        car_peak_other=run.result.car_peak_other[which],
-        car_peak_time=run.result.car_peak_time[which],
-        derail_time=run.result.derail_time[which],
-        derail_speed=run.result.derail_speed[which],
+    outcome = replace(
+        run.outcome,
+        car_peak_force=run.outcome.car_peak_force[which],
+        car_peak_other=run.outcome.car_peak_other[which],
+        car_peak_time=run.outcome.car_peak_time[which],
+        derail_time=run.outcome.derail_time[which],
+        derail_speed=run.outcome.derail_speed[which],
     )
     return replace(
         run,
@@ -590,16 +593,16 @@ def long_train(run: Run, cars: int = 110, states: int = 1500) -> Run:
         time=np.linspace(0.0, 30.0, states),
         pose=pose,
         velocity=grow(run.velocity),
-        coupler=grow(run.coupler),
+        coupler_yaw=grow(run.coupler_yaw),
         truck_on=grow(run.truck_on),
         coupled=coupled,
-        brake=grow(run.brake),
-        contact_force=grow(run.contact_force),
-        result=result,
+        brake_force=grow(run.brake_force),
+        corner_force=grow(run.corner_force),
+        outcome=outcome,
     )
 
 
-def test_it_is_smooth_and_small_for_110_cars(browser, run: Run, tmp_path: Path) -> None:
+def test_it_is_smooth_and_small_for_110_cars(browser, run: RecordedRun, tmp_path: Path) -> None:
     page = replay.write(long_train(run), tmp_path / "long.html")
     assert page.stat().st_size < 4e6
     browser.get_log("browser")

@@ -42,7 +42,7 @@ def told(figure):
 
 def test_the_summary_has_no_nonsense(short) -> None:
     text = summary.text(short)
-    assert len(short.result.derailed) == short.n
+    assert len(short.outcome.derailed_cars) == short.n
     assert not re.search(r"-0(\.0)?\b(?!\.)", text), "a zero with a sign"
     assert not re.search(r"\b0 J|nan", text)
     assert "draft gear" not in text  # what it took would be written as 0 J

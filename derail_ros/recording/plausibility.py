@@ -1,0 +1,89 @@
+"""Which messages can be true.
+
+Damage, or another program, can leave a message that decodes. A message with numbers that no train
+has, or with lists of different lengths, is left out like one that cannot be decoded.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.vocabulary.status import STATUSES
+from msg_adapters.definitions import fields_of
+
+F64 = NDArray[np.float64]
+
+LARGEST = 1.0e12
+"""No quantity of a train is larger than this, SI units."""
+
+MAY_BE_NAN = {
+    "Collision": ("end",),
+    "CouplerStates": ("axial_force",),
+    "TrainEvent": ("x", "y", "track_coordinate", "speed", "value"),
+    "TrainState": ("corner_gap", "corner_closing_speed"),
+}
+"""Fields of ``derail_msgs/msg/<kind>`` in which NaN says that there is none."""
+POSITIVE = {"Consist": ("mass", "length", "width", "represents_cars")}
+GROUPS = ("corner_", "coupling_", "energy_", "rail_break_", "striker_")
+"""Lists of a message have one length, and those whose names begin like this one of their own."""
+FINITE = (
+    "peak_force_N",
+    "peak_resultant_N",
+    "scene_length_m",
+    "scene_width_m",
+    "scene_area_m2",
+    "car_peak_force_N",
+    "car_peak_other",
+    "x_m",
+    "y_m",
+)
+"""Quantities that every outcome has."""
+FREE = {"TrainEvent": ("cars",), "Consist": ("files",)}
+"""Lists of any length."""
+
+
+def is_plausible(kind: str, message: Any) -> bool:
+    """Whether a message (``derail_msgs/msg/<kind>``) can be that of a train."""
+    numbers: list[F64] = []
+    or_none: list[F64] = []
+    lengths: dict[str, int] = {}
+    for name, of in fields_of(message.__msgtype__):
+        value = getattr(message, name)
+        if of.startswith("float64"):
+            nan = name in MAY_BE_NAN.get(kind, ())
+            (or_none if nan else numbers).append(np.atleast_1d(value))
+        if of == "derail_msgs/msg/Quantity[]":
+            or_none += [np.asarray(quantity.values) for quantity in value]
+        elif of.endswith("[]") and name not in FREE.get(kind, ()):
+            group = next((g for g in GROUPS if name.startswith(g)), "")
+            if lengths.setdefault(group, len(value)) != len(value):
+                return False
+    # A comparison with NaN is false.
+    if not all((np.abs(values) <= LARGEST).all() for values in _joined(numbers)):
+        return False
+    if any((np.abs(values) > LARGEST).any() for values in _joined(or_none)):
+        return False
+    if any(not (getattr(message, name) > 0).all() for name in POSITIVE.get(kind, ())):
+        return False
+    if kind in ("TrainState", "Consist"):
+        return lengths[""] > 0
+    if kind == "Track":
+        return len(message.s) != 1 and bool((np.diff(message.s) > 0.0).all())
+    return kind != "Outcome" or _is_outcome(message)
+
+
+def _is_outcome(message: Any) -> bool:
+    told = {q.key: np.asarray(q.values) for q in (*message.measures, *message.cars)}
+    if not all(len(told.get(key, ())) and np.isfinite(told[key]).all() for key in FINITE):
+        return False
+    known = {key for key, values in told.items() if np.isfinite(values).any()}
+    timed = not len(told.get("peak_force_pair", ())) or "peak_force_time_s" in known
+    one_length = len({len(q.values) for q in message.cars}) == 1
+    return message.status_name in STATUSES and one_length and timed
+
+
+def _joined(values: list[F64]) -> list[F64]:
+    return [np.concatenate(values)] if values else []
