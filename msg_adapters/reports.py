@@ -276,6 +276,16 @@ def quantity(key: str, values: Sequence[float] | NDArray[np.float64], unit: str 
     )
 
 
+def ledger(entries: Mapping[str, float]) -> list[Any]:
+    """Entries of an energy ledger (J) as ``derail_msgs/Quantity[]``."""
+    return [quantity(key, [value], "J") for key, value in entries.items()]
+
+
+def ledger_from_message(entries: Iterable[Any]) -> dict[str, float]:
+    """The energy ledger of ``derail_msgs/Quantity[]``: entry -> J."""
+    return {q.key: float(q.values[0]) for q in entries}
+
+
 CAR_VALUES = {
     "derail_time_s": "derail_time",
     "derail_speed_m_per_s": "derail_speed",
@@ -310,10 +320,10 @@ def outcome_fields(result: Outcome) -> dict[str, Any]:
         "status_name": result.status,
         "is_final": result.final,
         "is_void": result.void,
+        "derailed_cars": np.array(result.derailed_cars, dtype=np.uint32),
         "measures": measures,
         "cars": cars,
-        "energy_entry": list(result.energy),
-        "energy_value": np.array(list(result.energy.values()), dtype=np.float64),
+        "energy": ledger(result.energy),
     }
 
 
@@ -372,7 +382,7 @@ def outcome_from_message(message: Any) -> Outcome:
         max_truck_offset=number("max_truck_offset_m"),
         rear_part_first_car=whole("rear_part_first_car"),
         rear_part_coordinate=number("rear_part_coordinate_m"),
-        energy=dict(zip(message.energy_entry, message.energy_value.tolist())),
+        energy=ledger_from_message(message.energy),
         energy_residual=number("energy_residual"),
         train_cars=whole("train_cars"),
         values={key: values[0] for key, values in told.items() if len(values) == 1},

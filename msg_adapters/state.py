@@ -266,9 +266,8 @@ class StateEncoder:
         return {
             "step": s.step,
             "time": s.time,
-            "entry": [e.key for e in known],
-            "role": [e.role for e in known],
-            "value": [s.energy[e.key] for e in known],
+            "entries": {e.key: [s.energy[e.key]] for e in known},
+            "roles": [e.role for e in known],
         }
 
     def _message(self, kind: str, fields: Mapping[str, Any]) -> Any:
@@ -278,7 +277,8 @@ class StateEncoder:
         for name, value in fields.items():
             of = types[name].removesuffix("[]")
             if isinstance(value, Mapping):
-                arrays[name] = [quantity(key, values) for key, values in value.items()]
+                unit = "J" if name == "entries" else ""
+                arrays[name] = [quantity(key, values, unit) for key, values in value.items()]
             elif types[name].endswith("[]") and of != "string":
                 arrays[name] = np.ascontiguousarray(value, dtype=of)
         header = self.context.header(float(fields["time"]))

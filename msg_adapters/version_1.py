@@ -78,12 +78,11 @@ def _coupler_states(m: Any) -> Any:
 
 
 def _energy(m: Any) -> Any:
-    return _like(
-        m,
-        entry=list(LEDGER),
-        role=[ENERGY_ENTRIES[key].role for key in LEDGER],
-        value=np.array([sign * getattr(m, name) for name, sign in LEDGER.values()]),
-    )
+    from msg_adapters.reports import ledger
+
+    entries = {key: sign * getattr(m, name) for key, (name, sign) in LEDGER.items()}
+    roles = [ENERGY_ENTRIES[key].role for key in LEDGER]
+    return _like(m, entries=ledger(entries), roles=roles)
 
 
 def _event(m: Any) -> Any:

@@ -30,6 +30,7 @@ from msg_adapters.common import NANOSECONDS, stamp_of
 from msg_adapters.reports import (
     collision_from_message,
     event_from_message,
+    ledger_from_message,
     outcome_from_message,
 )
 from msg_adapters.topics import MANIFEST
@@ -141,7 +142,8 @@ class _Collected:
         return self.couplings.add(row) if self.couplings.fits(row) else False
 
     def take_ledger(self, m: Any) -> bool | None:
-        row = (float(m.time), np.array(m.value), tuple(m.entry))
+        ledger = ledger_from_message(m.entries)
+        row = (float(m.time), np.array(list(ledger.values())), tuple(ledger))
         return self.energy.add(row) if self.energy.fits(row) else False
 
     def take_event(self, m: Any) -> None:

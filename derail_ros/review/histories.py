@@ -232,7 +232,7 @@ def coupling_rows(m: Any) -> Row:
 def energy_rows(m: Any) -> Row:
     """An energy message as columns, one row."""
     columns: Row = {"time_s": np.array([float(m.time)])}
-    return columns | {f"{e}_J": np.array([v]) for e, v in zip(m.entry, m.value.tolist())}
+    return columns | {f"{q.key}_J": np.array(q.values[:1]) for q in m.entries}
 
 
 STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {

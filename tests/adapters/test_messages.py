@@ -194,11 +194,11 @@ def test_couplings(run: PlanarSimulation, decoded: dict) -> None:
 
 def test_the_ledger_balances_as_the_message_says(run: PlanarSimulation, decoded: dict) -> None:
     m = decoded["energy"]
-    ledger = dict(zip(m.entry, m.value.tolist()))
+    ledger = reports.ledger_from_message(m.entries)
     assert ledger == run.sample().energy
 
     def total(role: str) -> float:
-        return sum(v for v, r in zip(m.value, m.role) if r == role)
+        return sum(v for v, r in zip(ledger.values(), m.roles) if r == role)
 
     assert total("stored") == pytest.approx(
         total("initial") + total("put in") - total("taken out") - ledger["residual"],

@@ -86,7 +86,7 @@ def test_every_message_is_there(run, bag) -> None:
     assert [e.time for e in run.events] == sorted(e.time for e in run.events)
     assert np.array_equal(run.pose[-1, :, 0], last["/train_state"].x)
     ledger = last["/energy"]
-    assert run.ledger() == dict(zip(ledger.entry, ledger.value.tolist()))
+    assert run.ledger() == {q.key: q.values[0] for q in ledger.entries}
 
 
 def test_both_storages_read_the_same(run, sqlite_bag) -> None:

@@ -81,7 +81,7 @@ def test_messages(bar):
     assert told["slide_m"] == pytest.approx([SLIDE])
     sent = dict(StateEncoder(simulation.params, context).encode(simulation.sample()))
     ledger = deserialize(sent["energy"], "derail_msgs/msg/EnergyLedger")
-    assert dict(zip(ledger.entry, ledger.role))["sliding"] == "taken out"
+    assert dict(zip([q.key for q in ledger.entries], ledger.roles))["sliding"] == "taken out"
     state = deserialize(sent["train_state"], "derail_msgs/msg/TrainState")
     assert [q.key for q in state.more] == ["slide_m"]
     assert state.more[0].values == pytest.approx([SLIDE] * 4)
