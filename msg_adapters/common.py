@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from msg_adapters.definitions import message_class
 
@@ -33,7 +33,7 @@ def stamp_of(message: Any) -> int:
 
 def stamp_of_bytes(data: bytes) -> int:
     """Time in nanoseconds of a serialised message that begins with a header or a time."""
-    order = "little" if data[1] & 1 else "big"
+    order: Literal["little", "big"] = "little" if data[1] & 1 else "big"
     return int.from_bytes(data[4:8], order, signed=True) * NANOSECONDS + int.from_bytes(
         data[8:12], order
     )

@@ -361,7 +361,7 @@ def outcome_from_message(message: Any) -> Outcome:
     blank = Outcome.nothing(
         np.stack([cars.get(key, np.zeros(n)) for key in POSE], axis=-1),
         str(message.status_name),
-        float(message.time),
+        number("end_time_s"),
         int(message.step),
     )
     known = {name: cars[key] for key, name in CAR_VALUES.items() if key in cars}

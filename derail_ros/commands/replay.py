@@ -12,7 +12,7 @@ from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.recording.manifest import Manifest
-    from derail_ros.recording.recomputation import RecordedHistory
+    from derail_ros.recording.run_messages import RunMessages
 
 
 def run(place: str, as_json: bool) -> int:
@@ -47,20 +47,20 @@ def run(place: str, as_json: bool) -> int:
     return OK if same else FAILED
 
 
-def _found(path: Path) -> tuple[Manifest, dict[str, RecordedHistory] | None]:
+def _found(path: Path) -> tuple[Manifest, dict[str, RunMessages] | None]:
     """Manifest and messages at a place: a recording as all commands take it, or a manifest.
 
     Of a recording without the file its messages tell scenario and commands.
     """
     from derail_ros.recording.decoding import check_version
     from derail_ros.recording.manifest import FILE_NAME
-    from derail_ros.recording.recomputation import is_needed, manifest_of, recorded_histories
+    from derail_ros.recording.recomputation import collect
     from derail_ros.recording.storage import BagError, NotABagError, open_bag
 
     if path.suffix == ".json":
         manifest = _manifest(path)
         try:
-            return manifest, recorded_histories(open_bag(path.parent).messages(is_needed))
+            return manifest, collect(open_bag(path.parent)).runs
         except BagError:
             return manifest, None
     try:
@@ -73,17 +73,17 @@ def _found(path: Path) -> tuple[Manifest, dict[str, RecordedHistory] | None]:
         raise CommandFailure(str(error)) from None
     with bag_errors():
         check_version(raw)
-        messages = list(raw.messages(is_needed))
+        found = collect(raw)
     beside = raw.path / FILE_NAME  # one beside a file alone may be that of another
     if raw.path.is_dir() and beside.is_file():
         manifest = _manifest(beside)
     else:
-        manifest = manifest_of(messages)
+        manifest = found.manifest()
         if manifest.settings.get("gathered"):
             note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
     if not manifest.runs:
         raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
-    return manifest, recorded_histories(messages)
+    return manifest, found.runs
 
 
 def _manifest(path: Path) -> Manifest:

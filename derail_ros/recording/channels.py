@@ -9,6 +9,8 @@ from typing import Any
 from rosbags.interfaces import Qos, QosDurability
 from rosbags.rosbag2.metadata import parse_qos
 
+from msg_adapters.topics import MANIFEST
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -16,14 +18,10 @@ class Channel:
 
     Attributes
     ----------
-    topic, msgtype
-        Its name and type, for example ``derail_msgs/msg/TrainState``.
-    definition
-        Text of the message definition, "" if the recording has none.
-    qos
-        Quality of service of its publishers.
-    digest
-        Hash of the type description, "" if unknown.
+    topic, msgtype : its name and type, for example ``derail_msgs/msg/TrainState``
+    definition : text of the message definition, "" if the recording has none
+    qos : quality of service of its publishers
+    digest : hash of the type description, "" if unknown
     """
 
     topic: str
@@ -46,6 +44,11 @@ class Channel:
     def kind(self) -> str:
         """Last part of the type's name."""
         return self.msgtype.rpartition("/")[2]
+
+    @property
+    def is_manifest(self) -> bool:
+        """Whether its messages are manifests."""
+        return self.name == MANIFEST.name and self.msgtype == MANIFEST.msgtype
 
     @property
     def latched(self) -> bool:

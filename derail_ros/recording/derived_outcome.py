@@ -32,10 +32,8 @@ def derive_outcome(run: RecordedRun, told: Outcome | None = None) -> Outcome:
 
     Parameters
     ----------
-    run
-        All but its outcome.
-    told
-        An earlier outcome of the run, for what only the engine knows.
+    run : all but its outcome
+    told : an earlier outcome of the run, for what only the engine knows
     """
     n = run.n
     blank = Outcome.nothing(run.pose[-1], "", float(run.time[-1]))

@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter, write_channel
@@ -20,7 +20,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter, write_channel
 from msg_adapters.definitions import VERSION, read_copy, type_hash, typestore
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-METADATA_VERSION = 8
+METADATA_VERSION: Literal[8] = 8
 """The newest that rosbag2 of every distribution since Humble reads: in version 9 the profiles of
 a topic are no longer one text, at which those before Jazzy stop."""
 

@@ -13,11 +13,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from derail_ros.recording.derived_manifest import SOURCES, add_message
+from derail_ros.recording.channels import Channel
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder
+from derail_ros.recording.run_messages import Collector
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
 from msg_adapters.definitions import deserialize
 from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
@@ -30,6 +31,8 @@ BACKWARD = NANOSECONDS
 """Simulation time that jumps back by more than this has begun anew, ns."""
 STOPPED = 5
 """Status in ``derail_msgs/Outcome`` of a run that a command has ended."""
+DESCRIBING = ("consist", "command_log", "outcome")
+"""Topics that the manifest is derived from."""
 IDLE_TOPICS = ("/diagnostics", "/clock", "markers")
 """Topics that are published while nothing happens."""
 
@@ -48,7 +51,7 @@ def message_run(topic: Topic, data: bytes) -> str:
     """Identity of the run that a serialised message belongs to, "" if it has none."""
     if not topic.msgtype.startswith("derail_msgs/"):
         return ""
-    order = "little" if data[1] & 1 else "big"
+    order: Literal["little", "big"] = "little" if data[1] & 1 else "big"
     # After the encapsulation: header (8 bytes of time, then frame_id), run_id; texts are aligned
     # to 4 and end with a zero.
     at = 12
@@ -66,12 +69,9 @@ class TopicCount:
 
     Attributes
     ----------
-    received
-        Number of messages that arrived.
-    lost
-        Number of messages that are missing by the middleware's sequence numbers.
-    stamps
-        Times of the messages, ns (state topics only).
+    received : number of messages that arrived
+    lost : number of messages that are missing by the middleware's sequence numbers
+    stamps : times of the messages, ns (state topics only)
     """
 
     received: int = 0
@@ -100,6 +100,7 @@ class _OpenRecording:
             path, storage, {manifest_topic: MANIFEST, **topics}, late=math.inf
         )
         self.manifest = Manifest(settings={"recorded_by": "listener", "storage": storage})
+        self._collector = Collector()
         self.counts = {name: TopicCount() for name in topics}
         self.runs: set[str] = set()
         self.last_stamp = 0
@@ -115,8 +116,8 @@ class _OpenRecording:
         if topic.name in STATE_TOPICS:
             counted.stamps.append(stamp)
             self.last_stamp = max(self.last_stamp, stamp)
-        if topic.msgtype in SOURCES:
-            add_message(self.manifest, deserialize(data, topic.msgtype))
+        if topic.name in DESCRIBING:
+            self._collector.take(Channel(name, topic.msgtype), data)
         if self._held is None:
             self.recorder.write(name, stamp, data)
             return
@@ -135,7 +136,8 @@ class _OpenRecording:
 
     def report(self) -> dict[str, dict[str, int]]:
         """Messages received and missed, by topic."""
-        start = self.manifest.runs[0].start_time if self.manifest.runs else None
+        consists = (run.consist for run in self._collector.runs.values())
+        start = next((stamp_of(consist) for consist in consists if consist is not None), None)
         return {
             name: {"received": c.received, "lost": c.lost, "gaps": c.gaps(start)}
             for name, c in self.counts.items()
@@ -144,6 +146,9 @@ class _OpenRecording:
     def close(self) -> None:
         """Write the rest, the index and the manifest."""
         self.release(math.inf)
+        derived = self._collector.derived_manifest()
+        self.manifest.runs = derived.runs
+        self.manifest.software |= derived.software
         self.manifest.settings["missed"] = self.report()
         self.recorder.close(self.manifest)
 
@@ -153,17 +158,14 @@ class Listener:
 
     Parameters
     ----------
-    path, storage
-        Of the recording; when simulation time begins anew a second one gets the suffix ``_1``.
-    topics
-        Absolute name -> topic.
+    path, storage : of the recording; when simulation time begins anew a second one gets the suffix
+        ``_1``
+    topics : absolute name -> topic
 
     Attributes
     ----------
-    closed
-        Folders of the recordings that are closed.
-    reports
-        Of each closed recording: messages received and missed, by topic.
+    closed : folders of the recordings that are closed
+    reports : of each closed recording: messages received and missed, by topic
     """
 
     def __init__(
@@ -270,8 +272,7 @@ class Listener:
 
         Parameters
         ----------
-        settle
-            Wall time without a new message after which nothing more is expected, s.
+        settle : wall time without a new message after which nothing more is expected, s
         """
         if self.final_stamp is None:
             return False

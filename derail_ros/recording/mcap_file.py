@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import zstandard
-from lz4.frame import LZ4FrameDecompressor
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from mcap import records as parts
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode

@@ -27,7 +27,9 @@ MAY_BE_NAN = {
 }
 """Fields of ``derail_msgs/msg/<kind>`` in which NaN says that there is none."""
 POSITIVE = {"Consist": ("mass", "length", "width", "represents_cars")}
-GROUPS = ("corner_", "coupling_", "energy_", "rail_break_", "striker_")
+LEDGERS = ("entries", "energy")
+"""Lists of quantities in which every number is finite."""
+GROUPS = ("corner_", "coupling_", "rail_break_", "striker_")
 """Lists of a message have one length, and those whose names begin like this one of their own."""
 FINITE = (
     "peak_force_N",
@@ -41,7 +43,7 @@ FINITE = (
     "y_m",
 )
 """Quantities that every outcome has."""
-FREE = {"TrainEvent": ("cars",), "Consist": ("files",)}
+FREE = {"TrainEvent": ("cars",), "Consist": ("files",), "Outcome": ("derailed_cars",)}
 """Lists of any length."""
 
 
@@ -56,7 +58,7 @@ def is_plausible(kind: str, message: Any) -> bool:
             nan = name in MAY_BE_NAN.get(kind, ())
             (or_none if nan else numbers).append(np.atleast_1d(value))
         if of == "derail_msgs/msg/Quantity[]":
-            or_none += [np.asarray(quantity.values) for quantity in value]
+            (numbers if name in LEDGERS else or_none).extend(np.asarray(q.values) for q in value)
         elif of.endswith("[]") and name not in FREE.get(kind, ()):
             group = next((g for g in GROUPS if name.startswith(g)), "")
             if lengths.setdefault(group, len(value)) != len(value):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +17,18 @@ import yaml
 from numpy.typing import NDArray
 
 from derail_ros.recording.channels import Channel
-from derail_ros.recording.decoding import check_version, decode, is_known, namespace_of
+from derail_ros.recording.decoding import check_version, is_known, namespace_of
 from derail_ros.recording.derived_outcome import derive_couplings, derive_outcome
 from derail_ros.recording.manifest import FILE_NAME
-from derail_ros.recording.plausibility import is_plausible
 from derail_ros.recording.recorded_run import Cars, RecordedRun, SampledLine
+from derail_ros.recording.run_messages import REPORTS, STATES, Collector, RunMessages
 from derail_ros.recording.storage import OtherTopicsError, RawBag, open_bag
-from derail_ros.vocabulary.events import Collision, Event
+from derail_ros.vocabulary.events import Event
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.words import count
-from msg_adapters.common import NANOSECONDS, stamp_of
-from msg_adapters.reports import (
-    collision_from_message,
-    event_from_message,
-    ledger_from_message,
-    outcome_from_message,
-)
-from msg_adapters.topics import MANIFEST
+from msg_adapters.common import NANOSECONDS
 
 F64 = NDArray[np.float64]
-
-BUDGET = 120_000_000
-"""Memory for the states of a run; of longer ones every second, fourth ... state is kept, bytes."""
-POSE = ("x", "y", "z", "roll", "pitch", "yaw")
-VELOCITY = ("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate")
 
 
 def read_bag(
@@ -50,13 +38,10 @@ def read_bag(
 
     Parameters
     ----------
-    path
-        The recording's folder, a file of it, or a folder with one recording in it.
-    run
-        Which run, where the recording holds several: its number from 1, negative from the end,
+    path : the recording's folder, a file of it, or a folder with one recording in it
+    run : which run, where the recording holds several: its number from 1, negative from the end,
         or the beginning of its identity. Default: the last.
-    namespace
-        Of the topics, where several trains were recorded. Default: the first.
+    namespace : of the topics, where several trains were recorded. Default: the first.
 
     Raises
     ------
@@ -72,164 +57,43 @@ def read_bag(
     return _Reader(bag, prefix).read(run)
 
 
-class _Series:
-    """Rows of a state topic; beyond a budget of memory every second one is dropped."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[Any, ...]] = []
-        self.every = 1
-        self.count = 0
-        self.last: tuple[Any, ...] | None = None
-        self.limit = 0
-
-    def add(self, row: tuple[Any, ...]) -> None:
-        if not self.limit:
-            size = sum(a.nbytes if isinstance(a, np.ndarray) else 8 for a in row) + 1200
-            self.limit = max(200, BUDGET // size)
-        if self.count % self.every == 0:
-            self.rows.append(row)
-            if len(self.rows) > self.limit:
-                del self.rows[1::2]
-                self.every *= 2
-        self.last = row
-        self.count += 1
-
-    def fits(self, row: tuple[Any, ...]) -> bool:
-        """Whether a row is of as many cars as the first one."""
-        return not self.rows or np.shape(row[1]) == np.shape(self.rows[0][1])
-
-    def columns(self) -> list[Any]:
-        """Columns in order of the first one, each time once."""
-        rows = self.rows
-        if self.last is not None and rows[-1] is not self.last:
-            rows = [*rows, self.last]
-        times = np.array([row[0] for row in rows])
-        _, order = np.unique(times[::-1], return_index=True)  # of equal times the later one
-        rows = [rows[len(rows) - 1 - k] for k in order]
-        return [np.array(column) for column in zip(*rows)]
-
-
-@dataclass
-class _Collected:
-    """What the messages of a run say."""
-
-    consist: Any = None
-    line: SampledLine | None = None
-    outcome: Outcome | None = None
-    events: dict[int, Event] = field(default_factory=dict)
-    collisions: dict[int, Collision] = field(default_factory=dict)
-    commands: dict[int, dict[str, Any]] = field(default_factory=dict)
-    states: _Series = field(default_factory=_Series)
-    couplings: _Series = field(default_factory=_Series)
-    energy: _Series = field(default_factory=_Series)
-
-    def take_state(self, m: Any) -> bool | None:
-        trucks = np.stack([m.truck_status_front, m.truck_status_rear], axis=-1)
-        row = (
-            float(m.time),
-            np.stack([getattr(m, k) for k in POSE], axis=-1),
-            np.stack([getattr(m, k) for k in VELOCITY], axis=-1),
-            np.stack([m.coupler_angle_front, m.coupler_angle_rear], axis=-1),
-            trucks == m.TRUCK_ON_RAILS,
-            m.brake_force.astype(np.float32),
-            m.largest_corner_force.astype(np.float32),
-            stamp_of(m),
-        )
-        return self.states.add(row) if self.states.fits(row) else False
-
-    def take_couplers(self, m: Any) -> bool | None:
-        row = (float(m.time), m.coupled == m.COUPLED)
-        return self.couplings.add(row) if self.couplings.fits(row) else False
-
-    def take_ledger(self, m: Any) -> bool | None:
-        ledger = ledger_from_message(m.entries)
-        row = (float(m.time), np.array(list(ledger.values())), tuple(ledger))
-        return self.energy.add(row) if self.energy.fits(row) else False
-
-    def take_event(self, m: Any) -> None:
-        self.events[int(m.sequence)] = event_from_message(m)
-
-    def take_collision(self, m: Any) -> None:
-        old = self.collisions.get(int(m.id))
-        if old is None or not old.final:
-            self.collisions[int(m.id)] = collision_from_message(m)
-
-    def take_end(self, m: Any) -> None:
-        if self.outcome is None or not self.outcome.final or m.is_final:
-            self.outcome = outcome_from_message(m)
-
-    def take_command(self, m: Any) -> None:
-        self.commands[int(m.sequence)] = {
-            "command": m.command,
-            "request": m.request_json,
-            "caller": m.caller,
-            "accepted": bool(m.accepted),
-            "message": m.message,
-            "time": float(m.time),
-            "step": int(m.step),
-        }
-
-    def take_train(self, m: Any) -> None:
-        self.consist = m
-
-    def take_track(self, m: Any) -> None:
-        self.line = SampledLine.of_message(m)
-
-
-TAKE: dict[str, Callable[[_Collected, Any], bool | None]] = {
-    "Collision": _Collected.take_collision,
-    "CommandLog": _Collected.take_command,
-    "Consist": _Collected.take_train,
-    "CouplerStates": _Collected.take_couplers,
-    "EnergyLedger": _Collected.take_ledger,
-    "Outcome": _Collected.take_end,
-    "Track": _Collected.take_track,
-    "TrainEvent": _Collected.take_event,
-    "TrainState": _Collected.take_state,
-}
-"""Type of ``derail_msgs`` -> what keeps its messages; ``False`` if one does not fit the others."""
-
-
 class _Reader:
     def __init__(self, bag: RawBag, prefix: str) -> None:
         self.bag = bag
         self.prefix = prefix
-        self.manifest: dict[str, Any] = {}
+        self.collector = Collector()
 
     def read(self, run: int | str | None) -> RecordedRun:
-        run_ids = self._run_ids("Consist", "Outcome", "TrainEvent") or self._run_ids("TrainState")
+        self._pass(lambda c: c.is_manifest or (is_known(c) and c.kind in REPORTS))
+        runs = self.collector.runs
+        run_ids = [k for k, m in runs.items() if m.consist or m.events or m.outcome]
         if not run_ids:
             raise OtherTopicsError(f"{self.bag.path}: a recording without a run in it")
         run_id = self._choose(run_ids, run)
-        return self._assemble(run_id, run_ids, self._collect(run_id))
+        self._pass(lambda c: is_known(c) and c.kind in STATES, only=run_id)
+        if broken := self.collector.broken:
+            self.bag.warn(f"{count(broken, 'message')} cannot be read")
+        if implausible := self.collector.implausible:
+            self.bag.warn(f"{count(implausible, 'message')} with impossible numbers left out")
+        return self._assemble(run_id, run_ids, runs[run_id])
 
-    def _messages(self, wanted: Callable[[Channel], bool]) -> Any:
-        """Channel and message of the wanted channels of this train, ``None`` if unreadable."""
-        for channel, _, data in self.bag.messages(
-            lambda c: c.namespace == self.prefix and wanted(c)
-        ):
-            try:
-                yield channel, decode(channel, data)
-            except Exception:  # bytes that are no message make rosbags raise anything
-                yield channel, None
+    def _pass(self, wanted: Callable[[Channel], bool], only: str | None = None) -> None:
+        """Take the messages of the wanted channels of this train."""
+        mine = self.bag.messages(lambda c: c.namespace == self.prefix and wanted(c))
+        for channel, _, data in mine:
+            self.collector.take(channel, data, only)
 
-    def _run_ids(self, *kinds: str) -> list[str]:
-        """Identities of the runs in order, from a few kinds of messages; keeps the manifest."""
-        seen: dict[str, None] = {}
-        for channel, message in self._messages(
-            lambda c: _is_manifest(c) or (is_known(c) and c.kind in kinds)
-        ):
-            if message is None:
-                continue
-            if not _is_manifest(channel):
-                seen.setdefault(message.run_id)
-                continue
-            try:
-                manifest = json.loads(message.data)
-                self.manifest = manifest if isinstance(manifest, dict) else {}
-            except ValueError:
+    def _manifest(self) -> dict[str, Any]:
+        """The manifest in the recording or beside it, {} without."""
+        text = self.collector.manifest_text
+        folder = self.bag.path if self.bag.path.is_dir() else self.bag.path.parent
+        try:
+            value = json.loads(text or (folder / FILE_NAME).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            if text:
                 self.bag.warn("its manifest cannot be read")
-        return list(seen)
+            return {}
+        return value if isinstance(value, dict) else {}
 
     def _choose(self, run_ids: list[str], run: int | str | None) -> str:
         path = self.bag.path
@@ -250,30 +114,9 @@ class _Reader:
             raise OtherTopicsError(f"{path}: {many} with {run!r}; there are {known}")
         return found[0]
 
-    def _collect(self, run_id: str) -> _Collected:
-        got = _Collected()
-        broken = implausible = 0
-        for channel, message in self._messages(lambda c: is_known(c) and c.kind in TAKE):
-            if message is None:
-                broken += 1
-            elif message.run_id != run_id:
-                continue
-            elif not is_plausible(channel.kind, message):
-                implausible += 1
-            else:
-                try:
-                    implausible += TAKE[channel.kind](got, message) is False
-                except (KeyError, ValueError):  # a kind of event that is not known here
-                    broken += 1
-        if broken:
-            self.bag.warn(f"{count(broken, 'message')} cannot be read")
-        if implausible:
-            self.bag.warn(f"{count(implausible, 'message')} with impossible numbers left out")
-        return got
-
     # --- putting together ---------------------------------------------------------------------
 
-    def _assemble(self, run_id: str, run_ids: list[str], got: _Collected) -> RecordedRun:
+    def _assemble(self, run_id: str, run_ids: list[str], got: RunMessages) -> RecordedRun:
         bag = self.bag
         left_out = "".join(f"; {w}" for w in bag.warnings if "impossible numbers" in w)
         if got.consist is None:
@@ -327,7 +170,7 @@ class _Reader:
             software=str(consist.software_version),
             files={str(f.name): bytes(f.content) for f in consist.files},
             initial_speed=float(consist.initial_speed),
-            manifest=self.manifest or _manifest_beside(bag.path),
+            manifest=self._manifest(),
             cars=cars,
             line=got.line or SampledLine(),
             events=events,
@@ -359,7 +202,7 @@ class _Reader:
         return replace(run, outcome=outcome, warnings=tuple(bag.warnings))
 
     def _coupled(
-        self, got: _Collected, events: tuple[Event, ...], time: F64, n: int
+        self, got: RunMessages, events: tuple[Event, ...], time: F64, n: int
     ) -> NDArray[np.bool_]:
         if got.couplings.count:
             when, table = got.couplings.columns()
@@ -387,19 +230,6 @@ class _Reader:
             self.bag.warn(f"{count(missing, 'state')} {are} missing ({share:.1f} %)")
 
 
-def _is_manifest(channel: Channel) -> bool:
-    return channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype
-
-
-def _manifest_beside(path: Path) -> dict[str, Any]:
-    folder = path if path.is_dir() else path.parent
-    try:
-        value = json.loads((folder / FILE_NAME).read_text(encoding="utf-8"))
-        return value if isinstance(value, dict) else {}
-    except (OSError, ValueError):
-        return {}
-
-
 def _scenario(text: str, bag: RawBag) -> dict[str, Any]:
     """The scenario as plain data, {} where it cannot be read."""
     try:
@@ -410,7 +240,7 @@ def _scenario(text: str, bag: RawBag) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _drop_unknown_cars(got: _Collected, n: int, real: int) -> None:
+def _drop_unknown_cars(got: RunMessages, n: int, real: int) -> None:
     """Leave out what is said about cars that the train does not have.
 
     Events also name the cars that the last body stands for.

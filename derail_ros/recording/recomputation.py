@@ -10,30 +10,23 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import yaml
 
 from derail_ros import models
-from derail_ros.recording.channels import Channel, Message
-from derail_ros.recording.decoding import decode
-from derail_ros.recording.derived_manifest import (
-    COMMAND_LOG,
-    CONSIST,
-    OUTCOME,
-    derive_manifest,
-    logged_command,
-)
+from derail_ros.recording.channels import Channel
+from derail_ros.recording.decoding import is_known
 from derail_ros.recording.manifest import Manifest, RunEntry
+from derail_ros.recording.run_messages import REPORTS, Collector, RunMessages
+from derail_ros.recording.storage import RawBag
 from derail_ros.scenario import loads_scenario
 from derail_ros.vocabulary.errors import CommandError, SimulationError
 from derail_ros.vocabulary.events import Collision, Command, Event, EventKind
 from derail_ros.vocabulary.simulation import COMMANDS, Simulation
 from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES, RUNNING, STATUSES
 from derail_ros.vocabulary.words import count
-from msg_adapters.reports import collision_from_message, event_from_message
-from msg_adapters.topics import MANIFEST
 
 NOT_COMPUTED = (
     EventKind.RUN_LOADED,
@@ -43,32 +36,6 @@ NOT_COMPUTED = (
     EventKind.RUN_FAILED,
 )
 """Events that the session adds to those of the engine."""
-EVENT = "derail_msgs/msg/TrainEvent"
-COLLISION = "derail_msgs/msg/Collision"
-COMPARED = (EVENT, COLLISION, COMMAND_LOG, OUTCOME)
-"""Types of the messages that a computed run is compared with."""
-
-
-@dataclass
-class RecordedHistory:
-    """What the messages of a recording say about a run.
-
-    Attributes
-    ----------
-    events
-        Those of the engine, in order.
-    collisions
-        Those that have ended.
-    commands
-        Accepted commands that change a run, as they were requested.
-    steps
-        Largest number of steps in any message.
-    """
-
-    events: list[Event] = field(default_factory=list)
-    collisions: list[Collision] = field(default_factory=list)
-    commands: list[dict[str, Any]] = field(default_factory=list)
-    steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -77,18 +44,12 @@ class Recomputed:
 
     Attributes
     ----------
-    run_id, scenario, status
-        Of the run.
-    commands
-        Number of commands.
-    steps, time
-        Accepted steps and run time (s) at its end.
-    same_state
-        Whether the final states are equal to the bit, ``None`` if none was recorded.
-    events, contacts
-        How many were compared, ``None`` without a recording.
-    differences
-        In words, empty if everything is equal.
+    run_id, scenario, status : of the run
+    commands : number of commands
+    steps, time : accepted steps and run time (s) at its end
+    same_state : whether the final states are equal to the bit, ``None`` if none was recorded
+    events, contacts : how many were compared, ``None`` without a recording
+    differences : in words, empty if everything is equal
     """
 
     run_id: str
@@ -108,54 +69,17 @@ class Recomputed:
         return asdict(self) | {"time": time, "differences": list(self.differences)}
 
 
-# --- what a recording holds --------------------------------------------------------------------
-
-
 def is_needed(channel: Channel) -> bool:
     """Whether the messages of a channel are read here."""
-    return channel.msgtype in (*COMPARED, CONSIST) or _is_manifest(channel)
+    return channel.is_manifest or (is_known(channel) and channel.kind in REPORTS)
 
 
-def _is_manifest(channel: Channel) -> bool:
-    return channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype
-
-
-def recorded_histories(messages: Iterable[Message]) -> dict[str, RecordedHistory]:
-    """The runs of a recording by their identities."""
-    runs: dict[str, RecordedHistory] = {}
-    for channel, _, data in messages:
-        if channel.msgtype not in COMPARED:
-            continue
-        try:
-            message = decode(channel, data)
-        except Exception:  # bytes that are no message make rosbags raise anything
-            continue
-        run = runs.setdefault(message.run_id, RecordedHistory())
-        run.steps = max(run.steps, int(message.step))
-        if channel.msgtype == EVENT:
-            event = event_from_message(message)
-            if event.kind not in NOT_COMPUTED:
-                run.events.append(event)
-        elif channel.msgtype == COLLISION and message.final:
-            run.collisions.append(collision_from_message(message))
-        elif channel.msgtype == COMMAND_LOG and message.accepted and message.command in COMMANDS:
-            run.commands.append(logged_command(message))
-    return runs
-
-
-def manifest_of(messages: Iterable[Message]) -> Manifest:
-    """The manifest in a recording, or one derived from its messages.
-
-    The node ``recorder`` writes its manifest last, and ``ros2 bag record`` none.
-    """
-    kept = list(messages)
-    for channel, _, data in reversed(kept):
-        if _is_manifest(channel):
-            try:
-                return Manifest.from_json(decode(channel, data).data)
-            except Exception:  # damaged, or of another version: the messages serve as well
-                continue
-    return derive_manifest(kept)
+def collect(bag: RawBag) -> Collector:
+    """The runs of a recording, without their states."""
+    collector = Collector()
+    for channel, _, data in bag.messages(is_needed):
+        collector.take(channel, data)
+    return collector
 
 
 # --- computing ---------------------------------------------------------------------------------
@@ -191,7 +115,7 @@ def _apply(simulation: Simulation, command: Command) -> None:
         simulation.apply(command)
 
 
-def recompute_run(entry: RunEntry, recorded: RecordedHistory | None = None) -> Recomputed:
+def recompute_run(entry: RunEntry, recorded: RunMessages | None = None) -> Recomputed:
     """Compute a run again and compare it with its recording.
 
     Raises
@@ -206,7 +130,7 @@ def recompute_run(entry: RunEntry, recorded: RecordedHistory | None = None) -> R
     listed: Sequence[Mapping[str, Any]] = entry.commands
     if recorded is not None and (cut_off or not entry.final_state_hash):
         # The writer was killed, or only listened: the messages know more than the manifest.
-        listed = recorded.commands
+        listed = [c for _, c in sorted(recorded.commands.items()) if c["accepted"]]
     commands = [engine_command(c) for c in listed if c.get("command", COMMANDS[0]) in COMMANDS]
     steps = entry.steps
     if cut_off and recorded is not None:
@@ -233,9 +157,11 @@ def recompute_run(entry: RunEntry, recorded: RecordedHistory | None = None) -> R
         same_state = simulation.state_hash() == entry.final_state_hash
         if not same_state:
             differences.append("the final state differs")
+    events = [] if recorded is None else _engine_events(recorded)
+    ended = [] if recorded is None else [c for c in recorded.collisions.values() if c.final]
     if recorded is not None:
-        differences += _compare(simulation, recorded)
-        if differences and (unknown := _commands_in_events(recorded) - len(commands)) > 0:
+        differences += _compare(simulation, events, ended)
+        if differences and (unknown := _commands_in(events) - len(commands)) > 0:
             differences.append(
                 f"{count(unknown, 'command')} known from events only, not in the log"
             )
@@ -247,16 +173,22 @@ def recompute_run(entry: RunEntry, recorded: RecordedHistory | None = None) -> R
         steps=simulation.step_count,
         time=float(simulation.time),
         same_state=same_state,
-        events=None if recorded is None else len(recorded.events),
-        contacts=None if recorded is None else len(recorded.collisions),
+        events=None if recorded is None else len(events),
+        contacts=None if recorded is None else len(ended),
         differences=tuple(differences),
     )
 
 
-def _commands_in_events(recorded: RecordedHistory) -> int:
+def _engine_events(recorded: RunMessages) -> list[Event]:
+    """The recorded events that the engine computes, in order."""
+    events = (recorded.events[k] for k in sorted(recorded.events))
+    return [e for e in events if e.kind not in NOT_COMPUTED]
+
+
+def _commands_in(events: Iterable[Event]) -> int:
     """Number of a client's commands that left an event."""
     kinds = (EventKind.RAIL_BREAK_SET, EventKind.BRAKES_TRIGGERED)
-    return sum(e.kind in kinds and e.cause.startswith("command") for e in recorded.events)
+    return sum(e.kind in kinds and e.cause.startswith("command") for e in events)
 
 
 def _numbers(event: Event) -> str:
@@ -264,36 +196,37 @@ def _numbers(event: Event) -> str:
     return repr(replace(event, before="", after=""))
 
 
-def _compare(simulation: Simulation, recorded: RecordedHistory) -> list[str]:
+def _compare(
+    simulation: Simulation, events: Sequence[Event], collisions: Sequence[Collision]
+) -> list[str]:
     """Differences between the computed and the recorded run, to the last bit.
 
     A run can be stopped between two ticks, before its last steps were published: the recorded
     run is the beginning of the computed one.
     """
     found = []
-    events = [e for e in simulation.events if e.kind not in NOT_COMPUTED]
-    total = len(recorded.events)
-    for n, (mine, other) in enumerate(zip(events, recorded.events), 1):
+    computed = [e for e in simulation.events if e.kind not in NOT_COMPUTED]
+    for n, (mine, other) in enumerate(zip(computed, events), 1):
         if _numbers(mine) != _numbers(other):
-            found.append(f"event {n} of {total} differs: {mine.kind.name}")
+            found.append(f"event {n} of {len(events)} differs: {mine.kind.name}")
             break
-    if len(events) < total:
-        found.append(f"{count(len(events), 'event')} instead of {total}")
-    computed = {c.id: repr(c) for c in simulation.collisions}
+    if len(computed) < len(events):
+        found.append(f"{count(len(computed), 'event')} instead of {len(events)}")
+    contacts = {c.id: repr(c) for c in simulation.collisions}
     # A contact that the end of a recorded run has closed may go on here.
-    others = [c for c in recorded.collisions if computed.get(c.id) != repr(c)]
+    others = [c for c in collisions if contacts.get(c.id) != repr(c)]
     if others:
-        found.append(f"{len(others)} of {len(recorded.collisions)} contacts differ")
+        found.append(f"{len(others)} of {len(collisions)} contacts differ")
     return found
 
 
 def recompute(
-    manifest: Manifest, recorded: Mapping[str, RecordedHistory] | None = None
+    manifest: Manifest, recorded: Mapping[str, RunMessages] | None = None
 ) -> list[Recomputed]:
     """Compute all runs of a manifest again and compare them with their recordings."""
     return [
         recompute_run(
-            entry, None if recorded is None else recorded.get(entry.run_id, RecordedHistory())
+            entry, None if recorded is None else recorded.get(entry.run_id, RunMessages())
         )
         for entry in manifest.runs
     ]

@@ -100,8 +100,8 @@ class SampledLine:
         place = np.array(m.rail_break_coordinate)
         heading = np.interp(place, m.s, m.heading) if len(m.s) else np.zeros(len(place))
         breaks = [place, m.rail_break_x, m.rail_break_y, heading, m.rail_break_time]
-        points = (np.array(getattr(m, k)) for k in ("s", "x", "y", "heading", "curvature"))
-        return cls(*points, breaks=np.stack(breaks, axis=-1))
+        points = {k: np.array(getattr(m, k)) for k in ("s", "x", "y", "heading", "curvature")}
+        return cls(**points, breaks=np.stack(breaks, axis=-1))
 
     @property
     def start(self) -> float:
@@ -232,7 +232,7 @@ class RecordedRun:
     @property
     def derailed(self) -> Bool:
         """(T, N) a truck is off the rails."""
-        return ~self.truck_on.all(axis=-1)
+        return np.asarray(~self.truck_on.all(axis=-1))
 
     def at(self, time: float) -> int:
         """Index of the last state at or before a time (s)."""

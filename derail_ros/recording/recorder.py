@@ -55,17 +55,13 @@ class RunRecorder:
 
     Parameters
     ----------
-    path
-        Folder of the recording; it must not exist.
-    storage
-        ``"mcap"`` or ``"sqlite3"``.
-    topics
-        Topics of the recording under the names that they have there: name -> topic. All are
+    path : folder of the recording; it must not exist
+    storage : ``"mcap"`` or ``"sqlite3"``
+    topics : topics of the recording under the names that they have there: name -> topic. All are
         announced at the beginning, latched ones first, so a topic without messages is there too.
         Default: those that the simulator records.
-    late
-        Simulation time for which messages wait for earlier ones, so that the file is in order of
-        time, ns. They wait no longer than half a second of wall time.
+    late : simulation time for which messages wait for earlier ones, so that the file is in order
+        of time, ns. They wait no longer than half a second of wall time.
 
     Raises
     ------

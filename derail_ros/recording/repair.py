@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from derail_ros.recording.channels import Channel, Message, Span
+from derail_ros.recording.channels import Channel, Span
 from derail_ros.recording.decoding import version_of
-from derail_ros.recording.derived_manifest import SOURCES, derive_manifest
 from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
+from derail_ros.recording.recomputation import is_needed
+from derail_ros.recording.run_messages import Collector
 from derail_ros.recording.storage import BagError, RawBag, open_bag
-from msg_adapters.definitions import VERSION, deserialize, typestore
-from msg_adapters.reports import jsonable
+from msg_adapters.definitions import VERSION, typestore
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
 
@@ -26,16 +25,11 @@ class Repaired:
 
     Attributes
     ----------
-    path
-        The new recording; the old one if it was whole.
-    counts
-        Messages by topic.
-    span
-        Their first and last time, ns.
-    warnings
-        What could not be read.
-    was_whole
-        There was nothing to repair and nothing was written.
+    path : the new recording; the old one if it was whole
+    counts : messages by topic
+    span : their first and last time, ns
+    warnings : what could not be read
+    was_whole : there was nothing to repair and nothing was written
     """
 
     path: Path
@@ -111,42 +105,29 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
 
 def _copy(tally: _Tally, writer: Any) -> str | None:
     """Write all messages; the manifest as JSON, ``None`` if neither it nor a run is left."""
-    manifest: dict[str, Any] | None = None
-    sources: list[Message] = []
+    collector = Collector()
     connections = {(c.topic, c.msgtype): _connect(writer, c) for c in tally.raw.channels}
     for channel, stamp, data in tally:
         key = (channel.topic, channel.msgtype)
         if key not in connections:
             connections[key] = _connect(writer, channel)
         writer.write(connections[key], stamp, data)
-        if channel.name == MANIFEST.name and channel.msgtype == MANIFEST.msgtype:
-            manifest = _manifest(data) or manifest
-        elif channel.msgtype in SOURCES:
-            sources.append((channel, stamp, data))
+        if is_needed(channel):
+            collector.take(channel, data)
     if not tally.counts:
         raise BagError(f"{tally.raw.path}: no message in it can be read")
-    if manifest is None and (derived := derive_manifest(sources)).runs:
-        manifest = dataclasses.asdict(derived)
-    if manifest is None:
+    manifest = collector.manifest()
+    if not manifest.runs:
         return None
-    manifest.setdefault("settings", {})["repaired"] = True
-    manifest["messages"] = dict(tally.counts)
-    # Python reads the NaN that JSON does not have.
-    return json.dumps(jsonable(manifest), indent=1, allow_nan=False)
-
-
-def _manifest(data: bytes) -> dict[str, Any] | None:
-    try:
-        value = json.loads(deserialize(data, MANIFEST.msgtype).data)
-    except Exception:  # a damaged manifest is no reason to lose the rest
-        return None
-    return value if isinstance(value, dict) else None
+    manifest.settings["repaired"] = True
+    manifest.messages = dict(tally.counts)
+    return manifest.to_json()
 
 
 def _connect(writer: Any, channel: Channel) -> Any:
     """Announce a topic as it was; our own table says what the recording does not."""
     qos = list(channel.qos)
-    known = MANIFEST if channel.name == MANIFEST.name else TOPICS.get(channel.name)
+    known = MANIFEST if channel.is_manifest else TOPICS.get(channel.name)
     if not qos and known is not None:
         qos = [bag_qos(known)]
     if not channel.definition and channel.msgtype in typestore().fielddefs:

@@ -27,19 +27,14 @@ def record_run(
 
     Parameters
     ----------
-    simulation
-        At its start (``derail_ros.engine.Simulation``); it is run, so that the caller can ask it
-        for its outcome afterwards.
-    scenario
-        The scenario it was built from (``derail_ros.scenario.Scenario``).
-    path
-        Folder of the recording; it must not exist.
-    state_rate, marker_rate
-        Messages per second of simulation time; 0 markers a second leaves them out.
-    progress
-        Called about ten times a second with the simulation.
-    storage
-        ``"mcap"`` or ``"sqlite3"``.
+    simulation : at its start (``derail_ros.engine.Simulation``); it is run, so that the caller can
+        ask it for its outcome afterwards
+    scenario : the scenario it was built from (``derail_ros.scenario.Scenario``)
+    path : folder of the recording; it must not exist
+    state_rate, marker_rate : messages per second of simulation time; 0 markers a second leaves
+        them out
+    progress : called about ten times a second with the simulation
+    storage : ``"mcap"`` or ``"sqlite3"``
 
     Returns
     -------
@@ -55,7 +50,7 @@ def record_run(
     SimulationError
         If the run failed; the recording is whole up to there and says so.
     """
-    from derail_ros.recording.session import Rates, Session, prepared_of
+    from derail_ros.recording.session import Prepared, Rates, Session
 
     if simulation.step_count:
         raise ValueError("the simulation must be at its start")
@@ -67,7 +62,7 @@ def record_run(
             recorder.write(absolute(topic), stamp, data)
 
         session = Session(
-            prepared_of(scenario, simulation),
+            Prepared(scenario, simulation),
             emit,
             rates=Rates(state_rate, marker_rate),
             record_markers=emit,

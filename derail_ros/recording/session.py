@@ -1,8 +1,8 @@
 """One run and the messages about it: no ROS graph, no wall clock, no physics.
 
 A session advances a simulation tick by tick (1 tick = 1/state_rate of simulation time), in slices
-of wall time, and gives out the messages of each tick in the order of their stamps. The node
-publishes them and a recording keeps them; both get the same bytes.
+of wall time, and publishes the messages of each tick in the order of their stamps. A node and
+a recording get the same bytes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 import derail_ros
 from derail_ros import models
 from derail_ros.recording.manifest import RunEntry
+from derail_ros.scenario import Scenario
 from derail_ros.vocabulary.errors import CommandError, SimulationError
 from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.sample import Sample
+from derail_ros.vocabulary.simulation import Simulation
 from msg_adapters import reports
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
@@ -41,38 +43,39 @@ GRAIN = 1e-9
 """Times closer than this are the same, s."""
 
 
-@dataclass(frozen=True)
 class Prepared:
-    """A scenario made ready to run; building it takes long, starting it does not.
+    """A scenario with a run at its start. Building it takes long, starting a run does not.
 
     Attributes
     ----------
     name, hash : of the scenario
     yaml, resolved : the scenario with all defaults filled in, as text and as plain data
-    simulation : at the start, never advanced: runs are copies of it
-    car_types : type of rolling stock of each car, "" where it was given by its numbers
     files : what the scenario was read from: name -> content
+    simulation : at its start, never advanced: runs are copies of it
+    car_types : type of rolling stock of each car, "" where it was given by its numbers
     marker_pieces : serialised markers, kept from run to run
     """
 
-    name: str
-    hash: str
-    yaml: str
-    resolved: dict[str, Any]
-    simulation: Any
-    car_types: tuple[str, ...] = ()
-    files: dict[str, bytes] = field(default_factory=dict)
-    marker_pieces: dict[Any, Any] = field(default_factory=dict)
+    def __init__(self, scenario: Scenario, simulation: Simulation) -> None:
+        self.name = scenario.name
+        self.hash = f"sha256:{scenario.hash}"
+        self.yaml = scenario.to_yaml()
+        self.resolved = scenario.resolved()
+        self.files = scenario.files
+        self.simulation = simulation
+        blocks = scenario.model.train.consist
+        types = [block.car or "" for block in blocks for _ in range(block.count)]
+        self.car_types = tuple(types[: simulation.n_cars])
+        self.marker_pieces: dict[Any, Any] = {}
 
     def warm(self, frame_id: str) -> None:
         """Lay out the markers, which takes a while for a long train."""
-        simulation = self.simulation
         context = RunContext("", 0, frame_id)
-        encoder = MarkerEncoder(simulation.params, context, self.marker_pieces)
-        encoder(simulation.sample(), np.zeros(len(simulation.params.cars)), reset=True)
+        encoder = MarkerEncoder(self.simulation.params, context, self.marker_pieces)
+        encoder(self.simulation.sample(), np.zeros(self.simulation.n_cars), reset=True)
 
 
-def prepare(scenario: Any, speed_kmh: float = math.nan) -> Prepared:
+def prepare(scenario: Scenario, speed_kmh: float = math.nan) -> Prepared:
     """Make a scenario ready to run, at another speed if one is given.
 
     Raises
@@ -82,22 +85,7 @@ def prepare(scenario: Any, speed_kmh: float = math.nan) -> Prepared:
     """
     if math.isfinite(speed_kmh) and speed_kmh != 0.0:
         scenario = scenario.with_overrides({"train.speed_kmh": float(speed_kmh)})
-    return prepared_of(scenario, models.build(scenario.to_params()))
-
-
-def prepared_of(scenario: Any, simulation: Any) -> Prepared:
-    """A scenario with the simulation that was built from it."""
-    types = [block.car or "" for block in scenario.model.train.consist for _ in range(block.count)]
-    bodies = len(simulation.params.cars)
-    return Prepared(
-        name=scenario.name,
-        hash=f"sha256:{scenario.hash}",
-        yaml=scenario.to_yaml(),
-        resolved=scenario.resolved(),
-        simulation=simulation,
-        car_types=tuple(types[:bodies]),
-        files=scenario.files,
-    )
+    return Prepared(scenario, models.build(scenario.to_params()))
 
 
 @dataclass
@@ -108,37 +96,19 @@ class Rates:
     recorded_markers: float = 0.0
 
 
-@dataclass
-class _Published:
-    """What of the engine's lists has been given out."""
-
-    events: int = 0
-    sequence: int = 0
-    outcome_at: float = 0.0
-    messages: list[bytes] = field(default_factory=list)
-
-
 class Session:
     """One run.
 
     Parameters
     ----------
-    prepared
-        The scenario.
-    emit
-        Takes the messages.
-    base
-        Simulation time at which the run begins, ns.
-    kind
-        ``RUN_LOADED`` or ``RUN_RESET``: the first event of the run.
-    rates
-        Ticks a second and markers a second.
-    record_markers
-        Takes the markers at ``rates.recorded_markers`` of simulation time.
-    live_transforms
-        Takes `/tf` at each tick.
-    simulation
-        What to run instead of a copy of ``prepared.simulation``.
+    prepared : the scenario
+    emit : takes the messages
+    base : simulation time at which the run begins, ns
+    kind : ``RUN_LOADED`` or ``RUN_RESET``: the first event of the run
+    rates : ticks a second and markers a second
+    record_markers : takes the markers at ``rates.recorded_markers`` of simulation time
+    live_transforms : takes `/tf` at each tick
+    simulation : what to run instead of a copy of ``prepared.simulation``
     """
 
     def __init__(
@@ -152,7 +122,7 @@ class Session:
         rates: Rates | None = None,
         record_markers: Emit | None = None,
         live_transforms: Callable[[bytes], None] | None = None,
-        simulation: Any = None,
+        simulation: Simulation | None = None,
     ) -> None:
         self.prepared = prepared
         self.simulation = prepared.simulation.copy() if simulation is None else simulation
@@ -178,7 +148,9 @@ class Session:
         self._transforms: TransformEncoder | None = None
         if live_transforms is not None:
             self._transforms = TransformEncoder(len(self.params.cars), self.context)
-        self._done = _Published()
+        self.event_messages: list[bytes] = []
+        self._events_published = 0
+        self._next_outcome = 0.0
         self._breaks: list[tuple[float, float]] = []
         self._collisions: list[Any] = []
 
@@ -191,12 +163,12 @@ class Session:
 
     @property
     def time(self) -> float:
-        """Run time of the last tick given out, s."""
+        """Run time of the last tick published, s."""
         return self.tick / self.rates.state
 
     @property
     def stamp(self) -> int:
-        """Simulation time of the last tick given out, ns."""
+        """Simulation time of the last tick published, ns."""
         return self.context.stamp(self.time)
 
     @property
@@ -209,21 +181,16 @@ class Session:
         """Accepted integration steps."""
         return int(self.simulation.step_count)
 
-    @property
-    def event_messages(self) -> list[bytes]:
-        """All events given out so far, as CDR bytes of ``derail_msgs/TrainEvent``."""
-        return self._done.messages
-
     # --- messages ----------------------------------------------------------------------------
 
-    def _out(self, topic: str, message: Any, stamp: int) -> None:
+    def _publish(self, topic: str, message: Any, stamp: int) -> None:
         data = message if isinstance(message, bytes) else serialize(message)
         self._emit(topic, stamp, data)
 
     def begin(self) -> None:
-        """Give out what is known at the start: train, track, first events and state."""
+        """Publish what is known at the start: train, track, first events and state."""
         params, context, prepared = self.params, self.context, self.prepared
-        self._out(
+        self._publish(
             "consist",
             reports.consist(
                 params,
@@ -243,46 +210,45 @@ class Session:
         )
         self._line = coordinates
         self._breaks = [(float(s), 0.0) for s in self.simulation.rail_breaks]
-        self._out_track(0.0)
-        self._out_event(
+        self._publish_track(0.0)
+        self._publish_event(
             Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{len(params.cars)} cars")
         )
-        self._out_tick(self.sample, reset=True)
+        self._publish_tick(self.sample, reset=True)
         self.announced = True
 
-    def _out_track(self, time: float) -> None:
+    def _publish_track(self, time: float) -> None:
         stamp = self.context.stamp(time)
         message = reports.track(
             self.simulation.track, self._line, self._breaks, self.context, time
         )
-        self._out("track", message, stamp)
-        self._out("track_markers", track_markers(message, self.context, time), stamp)
+        self._publish("track", message, stamp)
+        self._publish("track_markers", track_markers(message, self.context, time), stamp)
 
-    def _out_event(self, event: Event) -> None:
-        message = reports.train_event(event, self._done.sequence, self.context)
+    def _publish_event(self, event: Event) -> None:
+        message = reports.train_event(event, len(self.event_messages), self.context)
         data = serialize(message)
-        self._done.sequence += 1
-        self._done.messages.append(data)
-        self._out("events", data, self.context.stamp(event.time))
+        self.event_messages.append(data)
+        self._publish("events", data, self.context.stamp(event.time))
         if event.kind == EventKind.RAIL_BREAK_SET:
             place = float(event.track_coordinate)
             if place not in [s for s, _ in self._breaks]:
                 self._breaks.append((place, float(event.time)))
-                self._out_track(event.time)
+                self._publish_track(event.time)
 
-    def _out_happenings(self, until: float) -> None:
-        """Give out the events and contacts up to a moment, in the order of their times."""
+    def _publish_until(self, until: float) -> None:
+        """Publish the events and contacts up to a moment, in the order of their times."""
         self._collisions += self.simulation.new_collisions()
         for contact in self._collisions:
-            for car in (contact.car_a, contact.car_b):
+            for car in filter(None, (contact.car_a, contact.car_b)):
                 self.car_peak[car - 1] = max(self.car_peak[car - 1], contact.peak_force)
         due: list[tuple[float, int, Any]] = []
         events = self.simulation.events
-        while self._done.events < len(events):
-            event = events[self._done.events]
+        while self._events_published < len(events):
+            event = events[self._events_published]
             if event.time > until + GRAIN:
                 break
-            self._done.events += 1
+            self._events_published += 1
             if event.kind not in (EventKind.RUN_LOADED, EventKind.RUN_RESET):
                 due.append((event.time, 0, event))
         later = []
@@ -295,18 +261,18 @@ class Session:
         self._collisions = later
         for moment, what, item in sorted(due, key=lambda entry: entry[:2]):
             if what == 0:
-                self._out_event(item)
+                self._publish_event(item)
             else:
                 message = reports.collision(item, self.step, self.context)
-                self._out("collisions", message, self.context.stamp(moment))
+                self._publish("collisions", message, self.context.stamp(moment))
 
-    def _out_tick(self, sample: Sample, *, reset: bool = False) -> None:
-        """Give out everything that belongs to a tick."""
+    def _publish_tick(self, sample: Sample, *, reset: bool = False) -> None:
+        """Publish everything that belongs to a tick."""
         self.sample = sample
-        self._out_happenings(sample.time)
+        self._publish_until(sample.time)
         stamp = self.context.stamp(sample.time)
         for topic, data in self._encoder.encode(sample):
-            self._out(topic, data, stamp)
+            self._publish(topic, data, stamp)
         if self._live_transforms is not None and self._transforms is not None:
             self._live_transforms(self._transforms(sample))
         if self._record_markers is not None and self.rates.recorded_markers > 0.0:
@@ -316,13 +282,13 @@ class Session:
                 self._markers_recorded = (
                     math.floor((sample.time + GRAIN) * self.rates.recorded_markers) + 1
                 )
-        if sample.time + GRAIN >= self._done.outcome_at:
-            self._done.outcome_at = math.floor(sample.time + GRAIN) + OUTCOME_EVERY
-            self._out_outcome(sample.time)
+        if sample.time + GRAIN >= self._next_outcome:
+            self._next_outcome = math.floor(sample.time + GRAIN) + OUTCOME_EVERY
+            self._publish_outcome(sample.time)
 
-    def _out_outcome(self, time: float, status: str = "") -> None:
+    def _publish_outcome(self, time: float, status: str = "") -> None:
         message = self.outcome_message(time, status)
-        self._out("outcome", message, self.context.stamp(time))
+        self._publish("outcome", message, self.context.stamp(time))
 
     def outcome_message(self, time: float, status: str = "") -> Any:
         """``derail_msgs/Outcome`` at a run time (s)."""
@@ -343,7 +309,7 @@ class Session:
     def advance(self, budget: float = math.inf) -> bool:
         """Compute towards the next tick for at most about ``budget`` seconds of wall time.
 
-        Gives the tick out when it is reached. The engine takes its own steps: neither ticks nor
+        Publishes the tick when it is reached. The engine takes its own steps: neither ticks nor
         slices change what it computes.
 
         Returns
@@ -377,38 +343,38 @@ class Session:
         if sample.time != target:
             # The state after the end is that at the end.
             sample = dataclasses.replace(sample, time=target)
-        self._out_tick(sample)
+        self._publish_tick(sample)
         if simulation.ended and self.time + GRAIN >= simulation.time:
             self._finish()
         return True
 
     def _finish(self) -> None:
-        """Give out the end of the run."""
+        """Publish the end of the run."""
         simulation = self.simulation
-        self._out_happenings(math.inf)
+        self._publish_until(math.inf)
         if not any(e.kind in (EventKind.RUN_ENDED, EventKind.RUN_VOID) for e in simulation.events):
             kind = EventKind.RUN_VOID if simulation.outcome().void else EventKind.RUN_ENDED
-            self._out_event(Event(kind, simulation.time, self.step, cause=simulation.status))
-        self._out_outcome(self.time)
+            self._publish_event(Event(kind, simulation.time, self.step, cause=simulation.status))
+        self._publish_outcome(self.time)
         self.finished = True
 
     def fail(self, error: Exception) -> None:
         """End the run as failed, with all that happened up to the last accepted step."""
         self.failure = f"{type(error).__name__}: {error}"
-        self._out_happenings(math.inf)
+        self._publish_until(math.inf)
         moment = float(self.simulation.time)
         if not any(event.kind == EventKind.RUN_FAILED for event in self.simulation.events):
-            self._out_event(Event(EventKind.RUN_FAILED, moment, self.step, cause=str(error)))
-        self._out_outcome(moment, "failed")
+            self._publish_event(Event(EventKind.RUN_FAILED, moment, self.step, cause=str(error)))
+        self._publish_outcome(moment, "failed")
         self.finished = True
 
     def stop(self) -> None:
         """End a run that something else takes the place of, even if it never left its start."""
         if self.finished or not self.announced:
             return
-        self._out_happenings(self.time)
-        self._out_event(Event(EventKind.RUN_ENDED, self.time, self.step, cause="command"))
-        self._out_outcome(self.time, "stopped")
+        self._publish_until(self.time)
+        self._publish_event(Event(EventKind.RUN_ENDED, self.time, self.step, cause="command"))
+        self._publish_outcome(self.time, "stopped")
         self.finished = self.stopped = True
 
     # --- commands ----------------------------------------------------------------------------
@@ -424,8 +390,8 @@ class Session:
         if self.finished or self.simulation.ended:
             raise CommandError("run", "it has ended")
         result = getattr(self.simulation, name)(**arguments)
-        # What it did is told at once, also while paused.
-        self._out_happenings(self.simulation.time)
+        # Its events are published at once, also while paused.
+        self._publish_until(self.simulation.time)
         return result
 
     def refuse(self, command: dict[str, Any], most: int) -> None:

@@ -13,7 +13,7 @@ from derail_ros.cli import main
 from derail_ros.engine import PlanarSimulation
 from derail_ros.nodes.core import Settings, SimulatorCore
 from derail_ros.recording import read_manifest, record_run
-from derail_ros.recording.recomputation import is_needed, recorded_histories
+from derail_ros.recording.recomputation import collect
 from derail_ros.recording.repair import repair
 from derail_ros.recording.storage import BagError, open_bag
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL, ready, small
@@ -135,7 +135,7 @@ def test_stopped_reset_and_failed_runs(tmp_path, capsys) -> None:
 def _commands_on_disk(bag: Path) -> int:
     """Commands in a recording that is still being written."""
     try:
-        runs = recorded_histories(open_bag(bag).messages(is_needed))
+        runs = collect(open_bag(bag)).runs
     except BagError:
         return 0
     return sum(len(run.commands) for run in runs.values())

@@ -16,12 +16,7 @@ from typing import Any
 import pytest
 
 from derail_ros.recording.reader import read_bag
-from derail_ros.recording.recomputation import (
-    is_needed,
-    manifest_of,
-    recompute,
-    recorded_histories,
-)
+from derail_ros.recording.recomputation import collect, recompute
 from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.recording.repair import repair
 from derail_ros.recording.storage import open_bag
@@ -203,8 +198,8 @@ def test_energy_and_commands(run: RecordedRun, expected: dict[str, Any]) -> None
 
 def test_it_is_computed_again(folder: Path, name: str) -> None:
     """With its commands, to the same end; the bits are those of the machine that recorded it."""
-    messages = list(open_bag(folder / name).messages(is_needed))
-    (found,) = recompute(manifest_of(messages), recorded_histories(messages))
+    collector = collect(open_bag(folder / name))
+    (found,) = recompute(collector.manifest(), collector.runs)
     assert found.status == ("time limit" if name == "simulated_curve" else "at rest")
     assert found.commands == (2 if name == "node_curve_commands" else 0)
     assert found.events and found.contacts is not None
