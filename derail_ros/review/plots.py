@@ -210,7 +210,7 @@ def _draw_velocities(axes: Axes, run: Run, time: float, window: figures.Window) 
 
 
 def _draw_pair(axes: Axes, scene: Any, contact: Contact) -> None:
-    corners = scene.corners()
+    corners = scene.outlines()
     for car in (contact.car_a, contact.car_b):
         axes.add_patch(
             Polygon(corners[car - 1], closed=True, fill=False, ec=VERMILION, lw=2.2, zorder=9)
