@@ -15,25 +15,34 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.contacts import end_contact, track_contacts
 from derail_ros.engine.dynamics import (
     FACTORED,
     PLAIN,
     accelerations,
+    constraint_error,
+    kinetic_energy,
     onto_constraints,
     project_velocities,
 )
-from derail_ros.engine.features import cubic_root, first_change, first_kink
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
-from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
-from derail_ros.engine.neighbours import (
-    end_contact,
-    list_is_stale,
-    rebuild,
-    refresh_active,
-    track_contacts,
+from derail_ros.engine.forces.brakes import apply_brakes, next_application
+from derail_ros.engine.forces.collisions import first_jump
+from derail_ros.engine.forces.couplers import coupler_energy, first_kink, first_limit
+from derail_ros.engine.forces.pushes import next_push
+from derail_ros.engine.forces.track import (
+    break_passed,
+    breaks_in_use,
+    first_overload,
+    first_passing,
+    on_track,
+    truck_arm,
+    truck_rows,
 )
-from derail_ros.engine.runge_kutta import longest_stable, step_error, take_stages
-from derail_ros.engine.solver import constraint_error, truck_rows
+from derail_ros.engine.implicit import longest_stable
+from derail_ros.engine.interpolation import LOCATED
+from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
+from derail_ros.engine.neighbours import list_is_stale, rebuild, refresh_active
+from derail_ros.engine.runge_kutta import step_error, take_stages
 from derail_ros.engine.trigonometry import angles
 from derail_ros.vocabulary.events import EventKind
 
@@ -52,12 +61,6 @@ RUN_VOID = int(EventKind.RUN_VOID)
 # What `advance` stopped for.
 DONE, DRAIN, GROW_PAIRS, GROW_CONTACTS = 0, 1, 2, 3
 NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
-
-LOCATED = 1e-7
-"""A crossing is located to this, m (breaks) or rad (couplings)."""
-
-OVERLOAD = 1e-3
-"""A lateral derailment is located to this, relative to the limit."""
 
 
 @inner_jit
@@ -82,122 +85,12 @@ def copy_items(to: NDArray[Any], what: NDArray[Any]) -> None:
 
 
 @inner_jit
-def breaks_in_use(breaks: F64) -> int:
-    """Number of rail breaks: the unused rows are infinite and come last."""
-    count = 0
-    while count < breaks.shape[0] and breaks[count] < math.inf:
-        count += 1
-    return count
-
-
-@inner_jit
 def step_cap(model: Model, v: F64) -> float:
     """Largest step in which no corner moves further than its share of the buffer, s."""
     fastest = 1e-9
     for i in range(v.shape[0]):
         fastest = max(fastest, speed_of(v, i) + abs(v[i, 2]) * model.car[i, L.RADIUS])
     return min(model.par[L.H_MAX], model.par[L.STEP_SHARE] / fastest)
-
-
-@inner_jit
-def next_switch(model: Model, state: State, t: float) -> float:
-    """Next moment after ``t`` at which a force jumps: initiating forces, instant brakes."""
-    soon = math.inf
-    for k in range(model.lateral.shape[0]):
-        for c in (L.LF_T0, L.LF_T1):
-            if t < model.lateral[k, c] < soon:
-                soon = model.lateral[k, c]
-    for u in range(state.arrival.shape[0]):
-        for c in (L.ARR_INST, L.ARR_INST_TL):
-            if t < state.arrival[u, c] < soon:
-                soon = state.arrival[u, c]
-    return soon
-
-
-@inner_jit
-def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
-    """Speed of a truck along the track, m/s (normal in ``wk``; the car's cos and sin)."""
-    base = L.W_TF if k == 0 else L.W_TR
-    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
-    return wk[i, base + 1] * (v[i, 0] - r * v[i, 2] * st) - wk[i, base] * (
-        v[i, 1] + r * v[i, 2] * ct
-    )
-
-
-@inner_jit
-def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
-    """Share of the step at which the first break is passed or coupling limit reached.
-
-    The step's end is in ``work.stage_q/v`` with its truck rows in ``work.wk``. 1.0 without a
-    crossing, or when the first one is within ``LOCATED`` of the end already.
-    """
-    keep_separate()
-    share = 1.0
-    wk = work.wk
-    breaks = breaks_in_use(state.breaks)
-    for i in range(state.q.shape[0]):
-        for k in range(2):
-            if state.truck_on[i, k] == 0:
-                continue
-            s0 = work.truck_s[i, k]
-            s1 = state.truck_s[i, k]
-            for b in range(breaks):
-                sb = state.breaks[b]
-                sign = 1.0 if s1 > s0 else -1.0
-                g0 = sign * (s0 - sb)
-                g1 = sign * (s1 - sb)
-                if g0 > 0.0 or g1 <= LOCATED:
-                    continue
-                d0 = (
-                    sign
-                    * h
-                    * _truck_speed(
-                        model, wk, state.v, i, k, math.cos(state.q[i, 2]), math.sin(state.q[i, 2])
-                    )
-                )
-                d1 = (
-                    sign
-                    * h
-                    * _truck_speed(model, wk, work.stage_v, i, k, wk[i, L.W_CT], wk[i, L.W_ST])
-                )
-                share = min(share, cubic_root(g0, d0, g1, d1))
-        if i < state.q.shape[0] - 1 and state.coupled[i]:
-            n0 = state.q[i, 4] - state.q[i + 1, 3]
-            n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
-            limit = model.knuckle[i, L.KN_LIMIT]
-            g0 = abs(n0) - limit
-            g1 = abs(n1) - limit
-            if g1 > LOCATED and g0 <= 0.0:
-                d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
-                d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
-                share = min(share, cubic_root(g0, d0, g1, d1))
-    return share
-
-
-@inner_jit
-def first_overload(model: Model, state: State, work: Work) -> float:
-    """Share of the step at which the first truck reaches its lateral limit, by the secant.
-
-    Forces at the end of the step are in ``work.lam_t``. 1.0 without one, or when the first is
-    within ``OVERLOAD`` of the limit already; 0.0 when a truck is above it from the start, because
-    another constraint has gone.
-    """
-    share = 1.0
-    for i in range(state.q.shape[0]):
-        if model.car[i, L.VIRTUAL] != 0.0:
-            continue
-        limit = model.par[L.LV_LIMIT] * 0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS]
-        for k in range(2):
-            if state.truck_on[i, k] == 0:
-                continue
-            f1 = abs(work.lam_t[i, k])
-            if f1 > limit * (1.0 + OVERLOAD):
-                f0 = abs(state.rail_force[i, k])
-                if f0 >= limit:
-                    share = 0.0
-                else:
-                    share = min(share, (limit * (1.0 + 0.5 * OVERLOAD) - f0) / (f1 - f0))
-    return share
 
 
 @inner_jit
@@ -247,7 +140,7 @@ def derail_truck(
     keep_separate()
     t = state.clock[L.T]
     state.truck_on[i, k] = 0
-    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
+    r = truck_arm(model.car, i, k)
     speed = speed_of(state.v, i)
     if math.isnan(state.peak[i, L.PK_DERAIL_T]):
         state.peak[i, L.PK_DERAIL_T] = t
@@ -257,26 +150,6 @@ def derail_truck(
         state.q[i, 0] + r * math.cos(state.q[i, 2]), state.q[i, 1] + r * math.sin(state.q[i, 2]),
         state.truck_s[i, k], speed, value,
     )  # fmt: skip
-
-
-@jit
-def apply_brakes(
-    model: Model, state: State, at: float, backward: bool, forward: bool, kind: int, t: float
-) -> None:
-    """Start an emergency at the arc length ``at`` (m behind car 1's centre) at the time ``t``.
-
-    The signal runs ``backward`` (to the rear) and / or ``forward``. A brake can only be raised:
-    each unit keeps its earliest arrival of each kind.
-    """
-    speed = model.par[L.BRAKE_SPEED]
-    for u in range(state.arrival.shape[0]):
-        d = model.unit[u, L.U_DIST] - at
-        if (d > 0.0 and not backward) or (d < 0.0 and not forward):
-            continue
-        arrival = t + model.unit[u, L.U_DELAY]
-        if kind == L.ARR_CONV or kind == L.ARR_TL:
-            arrival += abs(d) / speed
-        state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
 
 
 @inner_jit
@@ -312,22 +185,13 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
     changed = False
     n = state.q.shape[0]
     weight = 0.5 * model.par[L.GRAVITY]
-    breaks = breaks_in_use(state.breaks)
     for i in range(n):
         virtual = model.car[i, L.VIRTUAL] != 0.0
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
-            s0 = work.truck_s[i, k]
             s1 = state.truck_s[i, k]
-            passed = math.nan
-            for b in range(breaks):
-                sb = state.breaks[b]
-                # moving forward onto it, or backward
-                if (s1 > s0 and s0 <= sb <= s1 + LOCATED) or (
-                    s1 < s0 and s1 - LOCATED <= sb <= s0
-                ):
-                    passed = sb
+            passed = break_passed(state, work, i, k)
             if not math.isnan(passed):
                 if virtual:
                     state.cnt[L.STATUS] = L.VOID
@@ -349,9 +213,9 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
                 derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
                 changed = True
                 if model.par[L.BREAK_FOLLOWS] != 0.0:
+                    breaks = breaks_in_use(state)
                     if breaks < state.breaks.shape[0]:
                         state.breaks[breaks] = s1
-                        breaks += 1
                     add_event(
                         state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
                         L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
@@ -440,21 +304,6 @@ def energy_residual(model: Model, state: State) -> float:
 
 
 @inner_jit
-def on_track(model: Model, state: State) -> bool:
-    """Every truck on the rails lies within the alignment."""
-    pieces = model.track.shape[0]
-    if pieces == 0:
-        return True
-    first = model.track[0, L.TR_S]
-    last = model.track[pieces - 1, L.TR_S] + model.track[pieces - 1, L.TR_LEN]
-    for i in range(state.q.shape[0]):
-        for k in range(2):
-            if state.truck_on[i, k] and not first <= state.truck_s[i, k] <= last:
-                return False
-    return True
-
-
-@inner_jit
 def keep_last(state: State) -> None:
     """Remember the accepted state as the beginning of the last step."""
     copy_rows(state.q0, state.q)
@@ -491,7 +340,7 @@ def step(model: Model, state: State, work: Work) -> int:
     explicit = model.table[2 * stages + 3, 0] == 0.0
     copy_rows(work.truck_s, state.truck_s)
     clock[L.T_ON] = t
-    switch = next_switch(model, state, t)
+    switch = min(next_push(model, t), next_application(state, t))
     cap = step_cap(model, state.v)
     wanted = clock[L.H_NEXT]
     h = wanted
@@ -535,21 +384,17 @@ def step(model: Model, state: State, work: Work) -> int:
             striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
             e_before = kinetic_energy(model, work.stage_v) + striker + knuckle
             if project:
-                if onto_constraints(
-                    model, state, work, state.truck_on, state.coupled, work.stage_q,
-                    last_at_end and way == 0,
-                ):  # fmt: skip
-                    project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
+                if onto_constraints(model, state, work, work.stage_q, last_at_end and way == 0):
+                    project_velocities(model, state, work, work.stage_v)
                 else:
                     verdict = 2
             else:
                 angles(work.stage_q, work.wk, work.ang)
-                truck_rows(
-                    model.car, model.track, state.truck_s, state.truck_on, work.stage_q, work.wk
-                )
+                truck_rows(model, state, work, work.stage_q)
         if verdict == 0 and par[L.LOCATE] != 0.0:
-            share = first_crossing(model, state, work, h)
-            share = min(share, first_change(model, state, work, h))
+            share = first_passing(model, state, work, h)
+            share = min(share, first_limit(model, state, work, h))
+            share = min(share, first_jump(model, state, work, h))
             share = min(share, first_kink(model, state, work, h))
             # a truck that stands on the break derails within the smallest step
             located = max(share * h, floor)
@@ -560,8 +405,8 @@ def step(model: Model, state: State, work: Work) -> int:
                 verdict = 3
         if verdict == 0:
             if not accelerations(
-                model, state, work, after, state.truck_on, state.coupled, work.stage_q,
-                work.stage_v, work.kv[stages], FACTORED if project else PLAIN,
+                model, state, work, after, work.stage_q, work.stage_v, work.kv[stages],
+                FACTORED if project else PLAIN,
             ):  # fmt: skip
                 copy_rows(state.truck_s, work.truck_s)
                 return SINGULAR
@@ -629,7 +474,7 @@ def step(model: Model, state: State, work: Work) -> int:
     copy_rows(state.a, state.a1)
     copy_items(state.power1, work.power)
     keep_forces(state, work)
-    gap, offset = constraint_error(model.car, state.truck_on, state.coupled, state.q, work.wk)
+    gap, offset = constraint_error(model, state, work, state.q)
     clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
     clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
 
@@ -638,10 +483,7 @@ def step(model: Model, state: State, work: Work) -> int:
     note_progress(model, state, work)
     if changed or clock[L.T] == switch:
         clock[L.T_ON] = clock[L.T]
-        if not accelerations(
-            model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v,
-            state.a, PLAIN,
-        ):  # fmt: skip
+        if not accelerations(model, state, work, clock[L.T], state.q, state.v, state.a, PLAIN):
             return SINGULAR
         keep_forces(state, work)
     if clock[L.E_INITIAL] > 0.0:
