@@ -84,6 +84,7 @@ class Work(NamedTuple):
     power: F64  # (N_POWER,)
     mean_power: F64  # over the step
     kp: F64  # (stages, N_POWER)
+    trial: F64  # (N_TRY,) of the step being tried
     gamma_t: F64  # (N, 2)
     gamma_c: F64  # (N-1, 2)
     lam_t: F64
@@ -127,6 +128,7 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         power=np.zeros(L.N_POWER),
         mean_power=np.zeros(L.N_POWER),
         kp=np.zeros((SLOPES, L.N_POWER)),
+        trial=np.zeros(L.N_TRY),
         gamma_t=np.zeros((n, 2)),
         gamma_c=np.zeros((max(n - 1, 0), 2)),
         lam_t=np.zeros((n, 2)),

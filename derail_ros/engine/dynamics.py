@@ -87,20 +87,6 @@ def accelerations(
     return ok
 
 
-@jit
-def kinetic_energy(model: Model, v: F64) -> float:
-    """Kinetic energy of all bodies, J."""
-    total = 0.0
-    car = model.car
-    for i in range(v.shape[0]):
-        total += 0.5 * (
-            car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-            + car[i, L.INERTIA] * v[i, 2] * v[i, 2]
-            + car[i, L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
-        )
-    return total
-
-
 @inner_jit
 def constraint_error(model: Model, state: State, work: Work, q: F64) -> tuple[float, float]:
     """Largest coupler gap and largest truck offset, m (``truck_rows`` must have been called)."""

@@ -275,3 +275,15 @@ R_COLLISION = 11  # x, y, moment
 R_EXTERNAL = 14  # x, y, moment
 R_CORNER = 17  # four corners: force, gap, closing speed, other car
 N_REPORT = 33
+
+# --- trial: a step that is being tried --------------------------------------------------------
+TRY_SIZE = 0  # s
+TRY_WANTED = 1  # size that error control would have, s
+TRY_SWITCH = 2  # next moment at which a force jumps, infinite for a step that ends at another one
+TRY_END = 3  # time, s
+TRY_ERROR = 4  # in units of the tolerance
+TRY_ENERGY = 5  # of the end before it is put onto the constraints, J
+TRY_IMPLICIT = 6  # 1: friction was taken implicitly
+TRY_LIMIT = 7  # counter of what limits the size
+TRY_REJECTED = 8  # 1: a trial of this step was bad
+N_TRY = 9

@@ -16,6 +16,7 @@ from derail_ros.engine.dynamics import IMPLICIT, PLAIN, accelerations, constrain
 from derail_ros.engine.forces.track import truck_rows
 from derail_ros.engine.implicit import friction_damping, implicit_masses, restore_masses
 from derail_ros.engine.jit import inner_jit, keep_separate
+from derail_ros.engine.methods import ERRORS, GAMMA, META, TIMES, WEIGHTS
 from derail_ros.engine.solver import factor, solve
 from derail_ros.engine.trigonometry import angles
 
@@ -39,16 +40,35 @@ def _combine(y0: F64, k: F64, table: F64, row: int, terms: int, h: float, out: F
 
 
 @inner_jit
-def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -> int:
+def stages_of(table: F64) -> int:
+    """Number of stages of a method."""
+    return (table.shape[0] - 4) // 2
+
+
+@inner_jit
+def error_at_end(table: F64) -> bool:
+    """The slope at the new state counts in the error."""
+    return table[ERRORS, stages_of(table)] != 0.0
+
+
+@inner_jit
+def last_stage_at_end(table: F64) -> bool:
+    """The last stage stands at the end of the step, near the new state."""
+    return table[TIMES, stages_of(table) - 1] == 1.0
+
+
+@inner_jit
+def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
     """The stages of a step of size ``h`` from the accepted state.
 
-    Puts the new state into ``work.stage_q/v`` and mean powers into ``work.mean_power``. Returns 0
-    for an explicit step, 1 for one with implicit friction, -1 when the constraints are singular.
+    Puts the new state into ``work.stage_q/v``, mean powers into ``work.mean_power``, and whether
+    friction was implicit into ``work.trial``. Returns False when the constraints are singular.
     """
     keep_separate()
     n = state.q.shape[0]
     size = 5 * n
     table = model.table
+    stages = stages_of(table)
     car = model.car
     wk = work.wk
     q1 = work.stage_q
@@ -60,7 +80,7 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
     kq = work.kq.reshape(work.kq.size)
     kv = work.kv.reshape(work.kv.size)
     t = state.clock[L.T]
-    gamma = table[2 * stages + 3, 0]
+    gamma = table[META, GAMMA]
     stiff = False
     if gamma > 0.0:
         angles(state.q, wk, work.ang)
@@ -70,8 +90,10 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
     for k in range(L.N_POWER):
         work.kp[0, k] = state.power[k]
     mode = PLAIN
+    work.trial[L.TRY_IMPLICIT] = 0.0
     if stiff:
         mode = IMPLICIT
+        work.trial[L.TRY_IMPLICIT] = 1.0
         implicit_masses(car, wk, h * gamma)
         # The forces at the accepted state are M a less those of its constraints: the multipliers
         # found here are differences, the slopes are the same.
@@ -84,7 +106,7 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
         truck_rows(model, state, work, state.q)
         if not factor(model, state, work):
             restore_masses(car, wk)
-            return -1
+            return False
         constraint_gamma(model, state, work, state.q, state.v)
         solve(model, state, work, work.kv[0])
     else:
@@ -104,28 +126,27 @@ def take_stages(model: Model, state: State, work: Work, h: float, stages: int) -
                         for r in range(s):
                             total += table[stages + s, r] * work.kv[r, i, k]
                         wk[i, L.W_SX + k] = h * total
-        at = t + table[2 * stages + 2, s] * h
+        at = t + table[TIMES, s] * h
         if not accelerations(model, state, work, at, q1, v1, work.kv[s], mode):
             if stiff:
                 restore_masses(car, wk)
-            return -1
+            return False
         for k in range(L.N_POWER):
             work.kp[s, k] = work.power[k]
-    _combine(q0_flat, kq, table, 2 * stages, stages, h, q1_flat)
-    _combine(v0_flat, kv, table, 2 * stages, stages, h, v1_flat)
+    _combine(q0_flat, kq, table, WEIGHTS, stages, h, q1_flat)
+    _combine(v0_flat, kv, table, WEIGHTS, stages, h, v1_flat)
     for k in range(L.N_POWER):
         total = 0.0
         for s in range(stages):
-            total += table[2 * stages, s] * work.kp[s, k]
+            total += table[WEIGHTS, s] * work.kp[s, k]
         work.mean_power[k] = total
     if stiff:
         restore_masses(car, wk)
-        return 1
-    return 0
+    return True
 
 
 @inner_jit
-def step_error(model: Model, state: State, work: Work, h: float, stages: int, last: int) -> float:
+def step_error(model: Model, state: State, work: Work, h: float, last: int) -> float:
     """Error of a step in units of the tolerance: difference to the embedded method, largest one.
 
     The scale is ``rtol`` times 1 m for coordinates and ``rtol (1 m/s + |v|)`` for velocities, so
@@ -143,7 +164,7 @@ def step_error(model: Model, state: State, work: Work, h: float, stages: int, la
         eq[m] = 0.0
         ev[m] = 0.0
     for r in range(last):
-        w = h * table[2 * stages + 1, r]
+        w = h * table[ERRORS, r]
         if w != 0.0:
             first = r * size
             for m in range(size):

@@ -9,7 +9,8 @@ import numpy as np
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import F64, U8, Model, State, Work, make_work
-from derail_ros.engine.dynamics import PLAIN, accelerations, kinetic_energy
+from derail_ros.engine.dynamics import PLAIN, accelerations
+from derail_ros.engine.energy import kinetic_energy
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.interpolation import interpolate, interpolate_energy
 from derail_ros.engine.solver import plain_masses

@@ -15,13 +15,8 @@ from derail_ros.engine import layout as L
 from derail_ros.engine import saving, stepper
 from derail_ros.engine.arrays import State, make_work
 from derail_ros.engine.build import ARRIVALS, build_model, check_trigger, initial_state, validate
-from derail_ros.engine.dynamics import (
-    PLAIN,
-    accelerations,
-    kinetic_energy,
-    project_positions,
-    project_velocities,
-)
+from derail_ros.engine.dynamics import PLAIN, accelerations, project_positions, project_velocities
+from derail_ros.engine.energy import kinetic_energy
 from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild

@@ -143,32 +143,29 @@ def stepping() -> list[tuple[Any, tuple[Any, ...]]]:
 
     from derail_ros.engine import (
         contacts,
-        implicit,
+        energy,
+        events,
         interpolation,
         neighbours,
         runge_kutta,
         stepper,
     )
-    from derail_ros.engine.forces import collisions, couplers, track
 
     m, s, w = _types()
     table, row = float64[:, ::1], float64[::1]
     return [
         # first, for the stages want its friction, which is then in the cache
-        (implicit.longest_stable, (m, s, w, float64, float64)),
+        (stepper.plan_step, (m, s, w)),
         (contacts.track_contacts, (m, s, w, float64, float64)),
-        (stepper.remove_constraints, (m, s, w)),
-        (runge_kutta.step_error, (m, s, w, float64, int64, int64)),
-        (stepper.note_progress, (m, s, w)),
-        (collisions.first_jump, (m, s, w, float64)),
-        (couplers.first_kink, (m, s, w, float64)),
-        (couplers.first_limit, (m, s, w, float64)),
-        (track.first_passing, (m, s, w, float64)),
+        (events.remove_constraints, (m, s, w)),
+        (runge_kutta.step_error, (m, s, w, float64, int64)),
+        (events.note_progress, (m, s, w)),
+        (stepper.locate_moment, (m, s, w)),
         (neighbours.refresh_active, (m, s, w)),
-        (track.first_overload, (m, s, w)),
-        (stepper.keep_last, (s,)),
-        (stepper.keep_forces, (s, w)),
-        (stepper.energy_residual, (m, s)),
+        (stepper.locate_overload, (m, s, w)),
+        (stepper.take_over, (m, s, w)),
+        (stepper.reject, (m, s, w, int64)),
+        (energy.energy_residual, (m, s)),
         (interpolation.interpolate, (s, float64, table, table, table)),
         (interpolation.interpolate_energy, (s, float64, row)),
     ]
@@ -182,11 +179,11 @@ def compile_stepping() -> None:
 
 def compile_stages() -> None:
     """Compile the stages of a step, which evaluate forces."""
-    from numba import float64, int64
+    from numba import float64
 
     from derail_ros.engine import runge_kutta
 
-    runge_kutta.take_stages.compile((*_types(), float64, int64))
+    runge_kutta.take_stages.compile((*_types(), float64))
 
 
 def be_second_process() -> None:

@@ -12,7 +12,8 @@ import numpy as np
 
 from derail_ros.engine import PlanarSimulation
 from derail_ros.engine import layout as L
-from derail_ros.engine.dynamics import kinetic_energy, project_positions, project_velocities
+from derail_ros.engine.dynamics import project_positions, project_velocities
+from derail_ros.engine.energy import kinetic_energy
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.vocabulary.params import (
