@@ -501,7 +501,7 @@ def advance(
                     moved = True
         if moved:
             # the mobilities of the impulses are those of the trucks that are left
-            truck_rows(model.car, model.track, state.truck_s, state.truck_on, state.q, work.wk)
+            truck_rows(model, state, work, state.q)
             if not factor(model, state, work):
                 return SINGULAR
         for i in range(n - 1):
