@@ -31,24 +31,18 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.dynamics import project_positions, project_velocities
-from derail_ros.engine.forces import brake_force
+from derail_ros.engine.dynamics import constraint_gamma, project_positions, project_velocities
+from derail_ros.engine.forces.brakes import apply_brakes, brake_forces, next_application
+from derail_ros.engine.forces.pushes import next_push, push_forces
+from derail_ros.engine.forces.track import truck_rows
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
-from derail_ros.engine.laws.brake import smooth_direction
 from derail_ros.engine.laws.coupling_spring import coupling_energy, coupling_force
 from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
 from derail_ros.engine.methods import RKF45
 from derail_ros.engine.simulation import PlanarSimulation
-from derail_ros.engine.solver import (
-    acceleration_gamma,
-    factor,
-    plain_masses,
-    solve,
-    truck_rows,
-)
-from derail_ros.engine.stepper import apply_brakes, next_switch
+from derail_ros.engine.solver import factor, plain_masses, solve
 from derail_ros.engine.trigonometry import angles
 from derail_ros.vocabulary.errors import (
     ConstraintError,
@@ -154,51 +148,31 @@ def applied_forces(
     keep_separate()
     n = q.shape[0]
     eps = model.par[L.G_EPS]
-    g = model.par[L.GRAVITY]
     mu = own[S_MU]
-    t_on = state.clock[L.T_ON]
     wk = work.wk
     force = work.force
     angles(q, wk, work.ang)
-    for k in range(L.N_POWER):
-        work.power[k] = 0.0
     for i in range(n):
-        fx = 0.0
-        fy = 0.0
-        moment = 0.0
-        vx = v[i, 0]
-        vy = v[i, 1]
-        omega = v[i, 2]
-        trucks = int(state.truck_on[i, 0]) + int(state.truck_on[i, 1])
-        if trucks > 0:
-            speed = math.sqrt(vx * vx + vy * vy)
-            f = brake_force(
-                model.par[L.BRAKE_RISE], model.unit, model.unit_start[i],
-                model.unit_start[i + 1], state.arrival, t, t_on, speed,
-            ) * (0.5 * trucks)  # fmt: skip
-            f *= smooth_direction(speed, eps)
-            fx -= f * vx
-            fy -= f * vy
-            work.power[L.E_BRAKE] += f * speed * speed
+        for k in range(5):
+            force[i, k] = 0.0
+    drag_power = 0.0
+    damper_power = 0.0
+    brake_forces(model, state, work, t, v)
+    for i in range(n):
         for k in range(2):
             if state.truck_on[i, k]:
                 continue
             r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
             rx = r * wk[i, L.W_CT]
             ry = r * wk[i, L.W_ST]
-            ux = vx - omega * ry
-            uy = vy + omega * rx
+            ux = v[i, 0] - v[i, 2] * ry
+            uy = v[i, 1] + v[i, 2] * rx
             speed = math.sqrt(ux * ux + uy * uy)
-            f = drag(speed, mu, mu, eps, 0.0) * (0.5 * g * model.car[i, L.MASS])
-            fx -= f * ux
-            fy -= f * uy
-            moment -= f * (rx * uy - ry * ux)
-            work.power[L.E_GROUND_TRUCK] += f * speed * speed
-        force[i, 0] = fx
-        force[i, 1] = fy
-        force[i, 2] = moment
-        force[i, 3] = 0.0
-        force[i, 4] = 0.0
+            f = drag(speed, mu, mu, eps, 0.0) * (0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS])
+            force[i, 0] -= f * ux
+            force[i, 1] -= f * uy
+            force[i, 2] -= f * (rx * uy - ry * ux)
+            drag_power += f * speed * speed
     for i in range(n - 1):
         if linked[i] == 0:
             continue
@@ -210,20 +184,12 @@ def applied_forces(
         force[i + 1, 0] -= sx
         force[i + 1, 1] -= sy
         force[i + 1, 2] -= ax * sy - ay * sx
-        work.power[L.E_DAMPER] += own[S_C] * (rx * rx + ry * ry)
-    for k in range(model.lateral.shape[0]):
-        if model.lateral[k, L.LF_T0] <= t_on < model.lateral[k, L.LF_T1]:
-            i = int(model.lateral[k, L.LF_CAR])
-            r = model.lateral[k, L.LF_OFFSET]
-            ex = model.lateral[k, L.LF_X]
-            ey = model.lateral[k, L.LF_Y]
-            rx = r * wk[i, L.W_CT]
-            ry = r * wk[i, L.W_ST]
-            force[i, 0] += ex
-            force[i, 1] += ey
-            force[i, 2] += rx * ey - ry * ex
-            work.power[L.E_EXTERNAL] += ex * (v[i, 0] - v[i, 2] * ry)
-            work.power[L.E_EXTERNAL] += ey * (v[i, 1] + v[i, 2] * rx)
+        damper_power += own[S_C] * (rx * rx + ry * ry)
+    push_forces(model, state, work, v)
+    work.power[L.E_GROUND_TRUCK] = drag_power
+    work.power[L.E_GROUND_BODY] = 0.0
+    work.power[L.E_COLLISION] = 0.0
+    work.power[L.E_DAMPER] = damper_power
 
 
 @jit
@@ -233,7 +199,6 @@ def rates(
     work: Work,
     own: F64,
     linked: U8,
-    none: U8,
     t: float,
     q: F64,
     v: F64,
@@ -242,15 +207,10 @@ def rates(
     """Accelerations of the cars under their truck constraints; False when singular."""
     keep_separate()
     applied_forces(model, state, work, own, linked, t, q, v)
-    truck_rows(model.car, model.track, state.truck_s, state.truck_on, q, work.wk)
-    ok = factor(model.car, state.truck_on, none, work.wk)
-    acceleration_gamma(
-        model.par, model.car, state.truck_on, none, q, v, work.wk, work.gamma_t, work.gamma_c
-    )
-    solve(
-        model.car, state.truck_on, none, work.wk, work.force, work.gamma_t, work.gamma_c, out,
-        work.lam_t, work.lam_c,
-    )  # fmt: skip
+    truck_rows(model, state, work, q)
+    ok = factor(model, state, work)
+    constraint_gamma(model, state, work, q, v)
+    solve(model, state, work, out)
     state.cnt[L.EVALS] += 1
     return ok
 
@@ -388,7 +348,6 @@ def advance(
     work: Work,
     own: F64,
     linked: U8,
-    none: U8,
     other: F64,
     t_target: float,
 ) -> int:
@@ -404,7 +363,7 @@ def advance(
     while clock[L.T] < t_target and cnt[L.STATUS] == L.RUNNING:
         t = clock[L.T]
         clock[L.T_ON] = t
-        if not rates(model, state, work, own, linked, none, t, state.q, state.v, work.kv[0]):
+        if not rates(model, state, work, own, linked, t, state.q, state.v, work.kv[0]):
             return SINGULAR
         for k in range(L.N_POWER):
             work.kp[0, k] = work.power[k]
@@ -414,7 +373,7 @@ def advance(
             # kept: the stages move the track coordinates
             for k in range(2):
                 work.truck_s[i, k] = state.truck_s[i, k]
-        switch = next_switch(model, state, t)
+        switch = min(next_push(model, t), next_application(state, t))
         h = min(clock[L.H_NEXT], own[S_HMAX])
         reaches = False
         if t + h >= switch:
@@ -438,7 +397,6 @@ def advance(
                     work,
                     own,
                     linked,
-                    none,
                     t + RKF[RKF_C, s] * h,
                     q1,
                     v1,
@@ -492,9 +450,9 @@ def advance(
             for k in range(3):
                 if not math.isfinite(q1[i, k] + v1[i, k]):
                     return NON_FINITE
-        if not project_positions(model, state, work, state.truck_on, none, q1):
+        if not project_positions(model, state, work, q1):
             return SINGULAR
-        project_velocities(model, work, state.truck_on, none, v1)
+        project_velocities(model, state, work, v1)
         after, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
         state.energy[L.E_STAB_NET] += after + spring - before
         state.energy[L.E_STAB_GROSS] += abs(after + spring - before)
@@ -508,7 +466,7 @@ def advance(
         clock[L.H_NEXT] = min(max(h * grow, floor), own[S_HMAX])
 
         # what the rails carry, and what leaves them
-        if not rates(model, state, work, own, linked, none, clock[L.T], state.q, state.v, state.a):
+        if not rates(model, state, work, own, linked, clock[L.T], state.q, state.v, state.a):
             return SINGULAR
         for i in range(n):
             for k in range(2):
@@ -543,8 +501,8 @@ def advance(
                     moved = True
         if moved:
             # the mobilities of the impulses are those of the trucks that are left
-            truck_rows(model.car, model.track, state.truck_s, state.truck_on, state.q, work.wk)
-            if not factor(model.car, state.truck_on, none, work.wk):
+            truck_rows(model, state, work, state.q)
+            if not factor(model, state, work):
                 return SINGULAR
         for i in range(n - 1):
             if linked[i] == 0:
@@ -612,7 +570,7 @@ class AndersonModel:
         n = len(params.cars)
         s = self._state
         self._linked = s.coupled.copy()
-        self._none = np.zeros_like(s.coupled)
+        s.coupled[:] = 0  # springs in place of the engine's joints
         # rigid couplers: their angles are the cars', and have no motion of their own
         s.q[:, 3:] = s.q[:, 2:3]
         s.v[:, 3:] = 0.0
@@ -674,9 +632,8 @@ class AndersonModel:
             The run cannot go on; its last accepted state stays.
         """
         code = advance(
-            self._model, self._state, self._work, self._own, self._linked, self._none,
-            self._other, t,
-        )  # fmt: skip
+            self._model, self._state, self._work, self._own, self._linked, self._other, t
+        )
         if code != DONE:
             self._state.cnt[L.STATUS] = L.FAILED
             kind, reason = _ERRORS[code]

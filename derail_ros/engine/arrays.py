@@ -20,21 +20,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
-# Columns of the report, one row a car: forces as `sample` gives them.
-R_BRAKE = 0
-R_TRUCK = 1  # ground force: front x y, rear x y
-R_BODY = 5
-R_GROUND_MOMENT = 7
-R_STRIKER = 8  # front, rear
-R_KNUCKLE = 10
-R_COLLISION = 11  # x, y, moment
-R_EXTERNAL = 14
-R_CORNER = 16  # four corners: force, gap, closing speed, other car
-N_REPORT = 32
-
 
 class Model(NamedTuple):
-    """What a run is given."""
+    """Parameters of a run."""
 
     par: F64  # (N_PAR,)
     car: F64  # (N, N_CAR)
@@ -47,7 +35,7 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a run is at."""
+    """Mutable state of a run."""
 
     q: F64  # (N, 5)
     v: F64
@@ -86,7 +74,8 @@ class Work(NamedTuple):
 
     wk: F64  # (N, N_WORK)
     ang: F64  # (3, 3 N) angles, sines, cosines
-    ground: F64  # (4, 10 N) points on the ground: velocity x, y; two results
+    ground: F64  # (6, 10 N) points on the ground: velocity x, y; place on the axis; load; results
+    ground_first: I64  # (N+1,) first of a car's points
     force: F64  # (N, 5)
     stage_q: F64
     stage_v: F64
@@ -95,6 +84,7 @@ class Work(NamedTuple):
     power: F64  # (N_POWER,)
     mean_power: F64  # over the step
     kp: F64  # (stages, N_POWER)
+    trial: F64  # (N_TRY,) of the step being tried
     gamma_t: F64  # (N, 2)
     gamma_c: F64  # (N-1, 2)
     lam_t: F64
@@ -102,12 +92,16 @@ class Work(NamedTuple):
     dx: F64  # (N, 5)
     truck_s: F64  # (N, 2) at the beginning of the step
     event: F64  # (E, N_EVENT)
-    report: F64  # (N or 0, N_REPORT)
+    report: F64  # (N or 0, L.N_REPORT)
     order: I64  # (N,) cars along X
     place: I64  # (N,) and the place of each among them
     pairs: I64  # (P, 2) next neighbour list
     mask: U8
     pair: F64
+    within_q: F64  # (N, 5) of a pair, at a moment within the last step
+    within_v: F64
+    within_wk: F64  # (N, 2) cos and sin of yaw
+    within_force: F64  # (N, 5)
     active: I64  # (1 + P,) number and rows of the pairs that may touch for now
     placed: F64  # (N, 3) poses when that list was made
 
@@ -124,7 +118,8 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
     return Work(
         wk=np.zeros((n, L.N_WORK)),
         ang=np.zeros((3, 3 * n)),
-        ground=np.zeros((4, BODY_POINTS * n)),
+        ground=np.zeros((6, BODY_POINTS * n)),
+        ground_first=np.zeros(n + 1, dtype=np.int64),
         force=np.zeros((n, 5)),
         stage_q=np.zeros((n, 5)),
         stage_v=np.zeros((n, 5)),
@@ -133,6 +128,7 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         power=np.zeros(L.N_POWER),
         mean_power=np.zeros(L.N_POWER),
         kp=np.zeros((SLOPES, L.N_POWER)),
+        trial=np.zeros(L.N_TRY),
         gamma_t=np.zeros((n, 2)),
         gamma_c=np.zeros((max(n - 1, 0), 2)),
         lam_t=np.zeros((n, 2)),
@@ -140,12 +136,16 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         dx=np.zeros((n, 5)),
         truck_s=np.zeros((n, 2)),
         event=np.zeros((event_rows, L.N_EVENT)),
-        report=np.zeros((n if report else 0, N_REPORT)),
+        report=np.zeros((n if report else 0, L.N_REPORT)),
         order=np.arange(n),
         place=np.zeros(n, dtype=np.int64),
         pairs=np.zeros((pair_rows, 2), dtype=np.int64),
         mask=np.zeros((pair_rows, 8), dtype=np.uint8),
         pair=np.zeros((pair_rows, L.N_PAIR)),
+        within_q=np.zeros((n, 5)),
+        within_v=np.zeros((n, 5)),
+        within_wk=np.zeros((n, 2)),
+        within_force=np.zeros((n, 5)),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
         placed=np.full((n, 3), np.nan),
     )

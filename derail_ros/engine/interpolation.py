@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import State
-from derail_ros.engine.jit import jit
+from derail_ros.engine.jit import inner_jit, jit
 
 F64 = NDArray[np.float64]
 
@@ -70,3 +70,28 @@ def interpolate_energy(state: State, t: float, out: F64) -> None:
             )
         else:
             out[k] = state.energy0[k]
+
+
+LOCATED = 1e-7
+"""A crossing is located to this, m (rail breaks) or rad (couplings)."""
+
+
+@inner_jit
+def cubic_root(g0: float, d0: float, g1: float, d1: float) -> float:
+    """Where in (0, 1] the cubic with values g0 <= 0 < g1 and slopes d0, d1 crosses zero."""
+    lo = 0.0
+    hi = 1.0
+    for _ in range(60):
+        x = 0.5 * (lo + hi)
+        y = 1.0 - x
+        g = (
+            g0 * (1.0 + 2.0 * x) * y * y
+            + d0 * x * y * y
+            + g1 * x * x * (3.0 - 2.0 * x)
+            - d1 * x * x * y
+        )
+        if g > 0.0:
+            hi = x
+        else:
+            lo = x
+    return hi

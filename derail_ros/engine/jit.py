@@ -163,8 +163,3 @@ def jit(function: Callable[..., Any]) -> Any:
 def inner_jit(function: Callable[..., Any]) -> Any:
     """The same for a kernel that only kernels call: without the costly Python entry."""
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def inline_jit(function: Callable[..., Any]) -> Any:
-    """The same for a kernel with one caller, compiled as a part of it."""
-    return _compile(function, inline="always")

@@ -11,6 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+# Rows of a table from its end, and the columns of the last one.
+WEIGHTS, ERRORS, TIMES, META = -4, -3, -2, -1
+GAMMA, EXPONENT, BOUND = 0, 1, 2
+
 Table = tuple[tuple[float, ...], ...]
 
 

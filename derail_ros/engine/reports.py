@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from derail_ros.engine import layout as L
-from derail_ros.engine.track import Track
 from derail_ros.vocabulary import status as names
 from derail_ros.vocabulary.events import Collision, Event, EventKind
+from derail_ros.vocabulary.scene import Line
 
 STATUS = {
     L.RUNNING: names.RUNNING,
@@ -38,7 +38,7 @@ BEFORE_AFTER = {
 }
 
 
-def event_of(r: list[float], track: Track) -> Event:
+def event_of(r: list[float], track: Line) -> Event:
     """The event of a row; place and track coordinate fill each other in."""
     kind = EventKind(int(r[L.V_KIND]))
     code = int(r[L.V_CAUSE])

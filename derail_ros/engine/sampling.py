@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derail_ros.engine import arrays as A
 from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import F64, Model, State, Work, make_work
+from derail_ros.engine.arrays import F64, U8, Model, State, Work, make_work
 from derail_ros.engine.dynamics import PLAIN, accelerations
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.energy import kinetic_energy
+from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.interpolation import interpolate, interpolate_energy
 from derail_ros.engine.solver import plain_masses
 from derail_ros.vocabulary.errors import ConstraintError
@@ -36,7 +36,7 @@ WORK_ENTRIES = {
 
 
 def ledger(
-    model: Model, initial: float, work: F64, coupled: A.U8, q: F64, v: F64
+    model: Model, initial: float, work: F64, coupled: U8, q: F64, v: F64
 ) -> dict[str, float]:
     """The energy ledger of a state, J."""
     striker, knuckle = coupler_energy(model, coupled, q)
@@ -94,15 +94,12 @@ class Sampler:
             coupled=(s.coupled0 if inside else s.coupled).copy(),
         )
         all_active(s, work)
-        moment = min(t, run.time)
-        on, coupled = view.truck_on, view.coupled
-        if not accelerations(model, view, work, moment, on, coupled, q, v, work.dx, PLAIN):
+        if not accelerations(model, view, work, min(t, run.time), q, v, work.dx, PLAIN):
             raise ConstraintError("the constraint equations cannot be solved", run)
         self._locate_derailed_trucks(view)
         r = work.report
-        corner = r[:, A.R_CORNER :].reshape(n, 4, 4)
+        corner = r[:, L.R_CORNER :].reshape(n, 4, 4)
         touched = corner[:, :, 0] > 0.0
-        external = r[:, A.R_EXTERNAL : A.R_EXTERNAL + 2].copy()
         return Sample(
             time=t,
             step=run.step_count,
@@ -116,23 +113,23 @@ class Sampler:
             coupled=view.coupled,
             truck_coordinate=view.truck_s,
             rail_force=work.lam_t.copy(),
-            brake_force=r[:, A.R_BRAKE].copy(),
-            ground_truck_force=r[:, A.R_TRUCK : A.R_TRUCK + 4].reshape(n, 2, 2).copy(),
-            ground_body_force=r[:, A.R_BODY : A.R_BODY + 2].copy(),
-            ground_moment=r[:, A.R_GROUND_MOMENT].copy(),
-            striker_force=r[:, A.R_STRIKER : A.R_STRIKER + 2].copy(),
+            brake_force=r[:, L.R_BRAKE].copy(),
+            ground_truck_force=r[:, L.R_TRUCK : L.R_TRUCK + 4].reshape(n, 2, 2).copy(),
+            ground_body_force=r[:, L.R_BODY : L.R_BODY + 2].copy(),
+            ground_moment=r[:, L.R_GROUND_MOMENT].copy(),
+            striker_force=r[:, L.R_STRIKER : L.R_STRIKER + 2].copy(),
             relative_angle=q[:-1, 4] - q[1:, 3],
-            knuckle_moment=r[:-1, A.R_KNUCKLE].copy(),
+            knuckle_moment=r[:-1, L.R_KNUCKLE].copy(),
             coupler_force=work.lam_c.copy(),
             coupler_gap=self._gap(q, view.coupled),
-            collision_force=r[:, A.R_COLLISION : A.R_COLLISION + 2].copy(),
-            collision_moment=r[:, A.R_COLLISION + 2].copy(),
+            collision_force=r[:, L.R_COLLISION : L.R_COLLISION + 2].copy(),
+            collision_moment=r[:, L.R_COLLISION + 2].copy(),
             corner_force=corner[:, :, 0].copy(),
             corner_gap=np.where(touched, corner[:, :, 1], math.nan),
             corner_closing_speed=np.where(touched, corner[:, :, 2], math.nan),
             corner_other=corner[:, :, 3].astype(np.int64),
-            external_force=external,
-            external_moment=self._external_moment(t, q, external),
+            external_force=r[:, L.R_EXTERNAL : L.R_EXTERNAL + 2].copy(),
+            external_moment=r[:, L.R_EXTERNAL + 2].copy(),
             energy=ledger(model, s.clock[L.E_INITIAL], energy, view.coupled, q, v),
         )
 
@@ -150,7 +147,7 @@ class Sampler:
                     float(coordinate[i, k]),
                 )[0]
 
-    def _gap(self, q: F64, coupled: A.U8) -> F64:
+    def _gap(self, q: F64, coupled: U8) -> F64:
         """(N-1,) distance between mated faces, m; 0 once parted."""
         car = self._run._model.car
         c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
@@ -162,20 +159,3 @@ class Sampler:
 
         apart = face(-1.0, L.DCR, 4)[:-1] - face(1.0, L.DCF, 3)[1:]
         return np.where(coupled.astype(bool), np.hypot(*apart.T), 0.0)
-
-    def _external_moment(self, t: float, q: F64, force: F64) -> F64:
-        """(N,) moment of the forces that start the motion about the mass centres, N m.
-
-        Forces on one car have practically one direction (the track's normal at its trucks), so
-        the car's resultant acts at their weighted place.
-        """
-        params = self._run.params
-        side = {"front": 1.0, "rear": -1.0, "centre": 0.0}
-        weight, moment = np.zeros(len(q)), np.zeros(len(q))
-        for f in params.initiation.lateral_forces:
-            if f.start <= t <= f.start + f.duration:
-                i = f.car - 1
-                weight[i] += abs(f.force)
-                moment[i] += abs(f.force) * side[f.place] * params.cars[i].truck_distance
-        arm = np.divide(moment, weight, out=np.zeros_like(moment), where=weight > 0.0)
-        return np.asarray(arm * (np.cos(q[:, 2]) * force[:, 1] - np.sin(q[:, 2]) * force[:, 0]))

@@ -16,7 +16,9 @@ from derail_ros.engine import saving, stepper
 from derail_ros.engine.arrays import State, make_work
 from derail_ros.engine.build import ARRIVALS, build_model, check_trigger, initial_state, validate
 from derail_ros.engine.dynamics import PLAIN, accelerations, project_positions, project_velocities
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.energy import kinetic_energy
+from derail_ros.engine.forces.brakes import apply_brakes
+from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.engine.outcome import make_outcome
 from derail_ros.engine.reports import BEFORE_AFTER, STATUS, brake_words, collision_of, event_of
@@ -91,9 +93,9 @@ class PlanarSimulation(Simulation):
 
     def _start(self) -> None:
         s = self._state
-        if not project_positions(self._model, s, self._work, s.truck_on, s.coupled, s.q):
+        if not project_positions(self._model, s, self._work, s.q):
             raise ParameterError("initiation", "the train does not fit the track here")
-        project_velocities(self._model, self._work, s.truck_on, s.coupled, s.v)
+        project_velocities(self._model, s, self._work, s.v)
         s.q0[:] = s.q
         s.v0[:] = s.v
         start = self.params.initiation
@@ -141,9 +143,7 @@ class PlanarSimulation(Simulation):
         s, work = self._state, self._work
         s.clock[L.T_ON] = s.clock[L.T]
         all_active(s, work)
-        ok = accelerations(
-            self._model, s, work, self.time, s.truck_on, s.coupled, s.q, s.v, s.a, PLAIN
-        )
+        ok = accelerations(self._model, s, work, self.time, s.q, s.v, s.a, PLAIN)
         s.power[:] = work.power
         s.rail_force[:] = work.lam_t
         s.coupler_force[:] = work.lam_c
@@ -414,7 +414,7 @@ class PlanarSimulation(Simulation):
         if source == "car":
             places.append(float(distance[car - 1]))
         for place in places:
-            stepper.apply_brakes(self._model, self._state, place, True, True, kind, t)
+            apply_brakes(self._model, self._state, place, True, True, kind, t)
 
     def apply(self, command: Command) -> None:
         """Apply a logged command again, at the step at which it was logged."""

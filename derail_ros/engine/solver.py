@@ -26,75 +26,45 @@ that the same factorization serves integrators that add an implicit damping to M
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.forces.couplers import front_rate, rear_rate
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
-from derail_ros.engine.track import locate
 
 F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
+
+
+@inner_jit
+def plain_mass(car: F64, wk: F64, i: int) -> None:
+    """Put the inverse of the constant masses of car ``i`` where ``factor`` looks for it."""
+    wk[i, L.W_M] = 1.0 / car[i, L.MASS]
+    wk[i, L.W_M + 1] = 0.0
+    wk[i, L.W_M + 2] = 0.0
+    wk[i, L.W_M + 3] = 1.0 / car[i, L.MASS]
+    wk[i, L.W_M + 4] = 0.0
+    wk[i, L.W_M + 5] = 1.0 / car[i, L.INERTIA]
+    wk[i, L.W_IA] = 1.0 / car[i, L.IC]
+    wk[i, L.W_IB] = 1.0 / car[i, L.IC]
 
 
 @jit
 def plain_masses(model: Model, wk: F64) -> None:
-    """Put the inverse of the constant mass matrix where ``factor`` looks for it."""
+    """``plain_mass`` of every car."""
     for i in range(wk.shape[0]):
-        wk[i, L.W_M] = 1.0 / model.car[i, L.MASS]
-        wk[i, L.W_M + 1] = 0.0
-        wk[i, L.W_M + 2] = 0.0
-        wk[i, L.W_M + 3] = 1.0 / model.car[i, L.MASS]
-        wk[i, L.W_M + 4] = 0.0
-        wk[i, L.W_M + 5] = 1.0 / model.car[i, L.INERTIA]
-        wk[i, L.W_IA] = 1.0 / model.car[i, L.IC]
-        wk[i, L.W_IB] = 1.0 / model.car[i, L.IC]
+        plain_mass(model.car, wk, i)
 
 
 @inner_jit
-def truck_rows(car: F64, track: F64, truck_s: F64, truck_on: U8, q: F64, wk: F64) -> None:
-    """Rows of J, offsets and curvature terms of the trucks on the rails.
-
-    Also moves ``truck_s`` to the foot points (for a straight track it is X).
-    """
+def factor(model: Model, state: State, work: Work) -> bool:
+    """Factor ``J M^-1 J^T`` at the angles in ``work.wk``; False when it is singular."""
     keep_separate()
-    straight = track.shape[0] == 0
-    for i in range(q.shape[0]):
-        ct = wk[i, L.W_CT]
-        st = wk[i, L.W_ST]
-        for k in range(2):
-            if truck_on[i, k] == 0:
-                continue
-            r = car[i, L.DT] if k == 0 else -car[i, L.DT]
-            base = L.W_TF if k == 0 else L.W_TR
-            x = q[i, 0] + r * ct
-            y = q[i, 1] + r * st
-            if straight:
-                wk[i, base] = 0.0
-                wk[i, base + 1] = 1.0
-                wk[i, base + 2] = r * ct
-                wk[i, L.W_CUF + k] = 0.0
-                wk[i, L.W_OFF + k] = y
-                truck_s[i, k] = x
-            else:
-                s, d, h, kappa, _ = locate(track, x, y, truck_s[i, k])
-                nx = -math.sin(h)
-                ny = math.cos(h)
-                wk[i, base] = nx
-                wk[i, base + 1] = ny
-                wk[i, base + 2] = r * (ct * ny - st * nx)
-                wk[i, L.W_CUF + k] = kappa / (1.0 - kappa * d)
-                wk[i, L.W_OFF + k] = d
-                truck_s[i, k] = s
-
-
-@inner_jit
-def factor(car: F64, truck_on: U8, coupled: U8, wk: F64) -> bool:
-    """Factor ``J M^-1 J^T`` at the angles in ``wk``; False when it is singular."""
-    keep_separate()
+    car = model.car
+    wk = work.wk
+    truck_on = state.truck_on
+    coupled = state.coupled
     n = wk.shape[0]
     ok = True
     for i in range(n):
@@ -118,17 +88,17 @@ def factor(car: F64, truck_on: U8, coupled: U8, wk: F64) -> bool:
             grr = 1.0
             gfr = 0.0
             if on_f:
-                a = wk[i, L.W_TF]
-                b = wk[i, L.W_TF + 1]
-                d = wk[i, L.W_TF + 2]
+                a = wk[i, L.W_TRUCK]
+                b = wk[i, L.W_TRUCK + 1]
+                d = wk[i, L.W_TRUCK + 2]
                 kf0 = mxx * a + mxy * b + mxt * d
                 kf1 = mxy * a + myy * b + myt * d
                 kf2 = mxt * a + myt * b + mtt * d
                 gff = a * kf0 + b * kf1 + d * kf2
             if on_r:
-                a = wk[i, L.W_TR]
-                b = wk[i, L.W_TR + 1]
-                d = wk[i, L.W_TR + 2]
+                a = wk[i, L.W_TRUCK + 3]
+                b = wk[i, L.W_TRUCK + 4]
+                d = wk[i, L.W_TRUCK + 5]
                 kr0 = mxx * a + mxy * b + mxt * d
                 kr1 = mxy * a + myy * b + myt * d
                 kr2 = mxt * a + myt * b + mtt * d
@@ -248,49 +218,22 @@ def factor(car: F64, truck_on: U8, coupled: U8, wk: F64) -> bool:
 
 
 @inner_jit
-def rear_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
-    """Velocity of the rear face of car ``k``, m/s."""
-    return (
-        v[k, 0] + car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] + car[k, L.DCR] * wk[k, L.W_SB] * v[k, 4],
-        v[k, 1] - car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] - car[k, L.DCR] * wk[k, L.W_CB] * v[k, 4],
-    )
+def solve(model: Model, state: State, work: Work, x: F64) -> None:
+    """``M x = work.force + J^T lambda``, ``J x = gamma`` with the factors in ``work.wk``.
 
-
-@inner_jit
-def front_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
-    """Velocity of the front face of car ``k``, m/s."""
-    return (
-        v[k, 0] - car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] - car[k, L.DCF] * wk[k, L.W_SA] * v[k, 3],
-        v[k, 1] + car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] + car[k, L.DCF] * wk[k, L.W_CA] * v[k, 3],
-    )
-
-
-@inner_jit
-def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
-    """``J v`` of coupling ``k``, m/s."""
-    bx, by = rear_rate(car, v, wk, k)
-    fx, fy = front_rate(car, v, wk, k + 1)
-    return bx - fx, by - fy
-
-
-@inner_jit
-def solve(
-    car: F64,
-    truck_on: U8,
-    coupled: U8,
-    wk: F64,
-    force: F64,
-    gamma_t: F64,
-    gamma_c: F64,
-    x: F64,
-    lam_t: F64,
-    lam_c: F64,
-) -> None:
-    """``M x = force + J^T lambda``, ``J x = gamma`` with the factors in ``wk``.
-
-    ``force`` and ``x``: (N, 5); ``gamma_t``, ``lam_t``: (N, 2); ``gamma_c``, ``lam_c``: (N-1, 2).
+    ``x`` is (N, 5); gamma is in ``work.gamma_t`` (N, 2) and ``work.gamma_c`` (N-1, 2), lambda goes
+    into ``work.lam_t`` and ``work.lam_c``.
     """
     keep_separate()
+    car = model.car
+    wk = work.wk
+    truck_on = state.truck_on
+    coupled = state.coupled
+    force = work.force
+    gamma_t = work.gamma_t
+    gamma_c = work.gamma_c
+    lam_t = work.lam_t
+    lam_c = work.lam_c
     n = wk.shape[0]
     for i in range(n):
         f0 = force[i, 0]
@@ -398,109 +341,3 @@ def solve(
                 + wk[i, L.W_G + 2] * gr
                 - (wk[i, L.W_P + 3] * f0 + wk[i, L.W_P + 4] * f1 + wk[i, L.W_P + 5] * f2)
             )
-
-
-@inner_jit
-def coupling_gap(car: F64, q: F64, wk: F64, k: int) -> tuple[float, float]:
-    """Rear face of car ``k`` less front face of car ``k + 1``, m."""
-    gx = (
-        q[k, 0]
-        - q[k + 1, 0]
-        - car[k, L.DP] * wk[k, L.W_CT]
-        - car[k, L.DCR] * wk[k, L.W_CB]
-        - car[k + 1, L.DP] * wk[k + 1, L.W_CT]
-        - car[k + 1, L.DCF] * wk[k + 1, L.W_CA]
-    )
-    gy = (
-        q[k, 1]
-        - q[k + 1, 1]
-        - car[k, L.DP] * wk[k, L.W_ST]
-        - car[k, L.DCR] * wk[k, L.W_SB]
-        - car[k + 1, L.DP] * wk[k + 1, L.W_ST]
-        - car[k + 1, L.DCF] * wk[k + 1, L.W_SA]
-    )
-    return gx, gy
-
-
-@inner_jit
-def truck_rate(v: F64, wk: F64, i: int, k: int) -> float:
-    """``J v`` of truck ``k`` of car ``i``: its speed along the track's left normal, m/s."""
-    base = L.W_TF if k == 0 else L.W_TR
-    return wk[i, base] * v[i, 0] + wk[i, base + 1] * v[i, 1] + wk[i, base + 2] * v[i, 2]
-
-
-@inner_jit
-def acceleration_gamma(
-    par: F64,
-    car: F64,
-    truck_on: U8,
-    coupled: U8,
-    q: F64,
-    v: F64,
-    wk: F64,
-    gamma_t: F64,
-    gamma_c: F64,
-) -> None:
-    """``gamma = -(dJ/dt) v``, with Baumgarte's terms unless positions are projected."""
-    n = q.shape[0]
-    stabilize = par[L.PROJECT] == 0.0
-    a = par[L.B_VEL]
-    b = par[L.B_POS]
-    for i in range(n):
-        for k in range(2):
-            if truck_on[i, k] == 0:
-                continue
-            base = L.W_TF if k == 0 else L.W_TR
-            nx = wk[i, base]
-            ny = wk[i, base + 1]
-            r = car[i, L.DT] if k == 0 else -car[i, L.DT]
-            # centripetal part of the truck's acceleration, and the turning of the normal
-            r2 = r * v[i, 2] * v[i, 2]
-            tx = v[i, 0] - r * v[i, 2] * wk[i, L.W_ST]
-            ty = v[i, 1] + r * v[i, 2] * wk[i, L.W_CT]
-            along = ny * tx - nx * ty
-            g = r2 * (nx * wk[i, L.W_CT] + ny * wk[i, L.W_ST]) + wk[i, L.W_CUF + k] * along * along
-            if stabilize:
-                g -= a * truck_rate(v, wk, i, k) + b * wk[i, L.W_OFF + k]
-            gamma_t[i, k] = g
-    for k in range(n - 1):
-        if coupled[k] == 0:
-            continue
-        w1 = car[k, L.DP] * v[k, 2] * v[k, 2]
-        w2 = car[k, L.DCR] * v[k, 4] * v[k, 4]
-        w3 = car[k + 1, L.DP] * v[k + 1, 2] * v[k + 1, 2]
-        w4 = car[k + 1, L.DCF] * v[k + 1, 3] * v[k + 1, 3]
-        gx = -(
-            w1 * wk[k, L.W_CT]
-            + w2 * wk[k, L.W_CB]
-            + w3 * wk[k + 1, L.W_CT]
-            + w4 * wk[k + 1, L.W_CA]
-        )
-        gy = -(
-            w1 * wk[k, L.W_ST]
-            + w2 * wk[k, L.W_SB]
-            + w3 * wk[k + 1, L.W_ST]
-            + w4 * wk[k + 1, L.W_SA]
-        )
-        if stabilize:
-            rx, ry = coupling_rate(car, v, wk, k)
-            px, py = coupling_gap(car, q, wk, k)
-            gx -= a * rx + b * px
-            gy -= a * ry + b * py
-        gamma_c[k, 0] = gx
-        gamma_c[k, 1] = gy
-
-
-@inner_jit
-def constraint_error(car: F64, truck_on: U8, coupled: U8, q: F64, wk: F64) -> tuple[float, float]:
-    """Largest coupler gap and largest truck offset, m (``truck_rows`` must have been called)."""
-    gap = 0.0
-    offset = 0.0
-    for i in range(q.shape[0]):
-        for k in range(2):
-            if truck_on[i, k]:
-                offset = max(offset, abs(wk[i, L.W_OFF + k]))
-        if i < q.shape[0] - 1 and coupled[i]:
-            gx, gy = coupling_gap(car, q, wk, i)
-            gap = max(gap, math.sqrt(gx * gx + gy * gy))
-    return gap, offset

@@ -1,8 +1,16 @@
-"""Steps of a run: integration, projection, removal of constraints, events.
+"""Steps of a run: try, locate, accept.
 
 A step goes from one accepted state to the next. Within it the set of constraints and of switched
-forces is fixed; a truck's passing of a rail break and a coupling's reaching its limit angle are
-found inside the step, which is shortened to end there.
+forces is fixed. It has three acts:
+
+1. try: take the stages of the integration method, put the end onto the constraints, estimate the
+   error;
+2. locate: look for a moment inside the step at which a force jumps or a constraint goes (a truck
+   passes a rail break, a coupling reaches its limit angle, a contact changes its features, a
+   spring engages, a truck reaches its lateral limit); if there is one, try again up to there;
+3. accept: make the end the state, follow contacts, remove constraints, note events.
+
+``work.trial`` holds the numbers that the acts hand on.
 """
 
 from __future__ import annotations
@@ -15,55 +23,45 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.contacts import track_contacts
 from derail_ros.engine.dynamics import (
     FACTORED,
     PLAIN,
     accelerations,
+    constraint_error,
     onto_constraints,
     project_velocities,
 )
-from derail_ros.engine.features import cubic_root, first_change, first_kink
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
-from derail_ros.engine.jit import inline_jit, inner_jit, jit, keep_separate
-from derail_ros.engine.neighbours import (
-    end_contact,
-    list_is_stale,
-    rebuild,
-    refresh_active,
-    track_contacts,
+from derail_ros.engine.energy import energy_residual, stored_energy
+from derail_ros.engine.events import note_progress, remove_constraints, speed_of
+from derail_ros.engine.forces.brakes import next_application
+from derail_ros.engine.forces.collisions import first_jump
+from derail_ros.engine.forces.couplers import first_kink, first_limit
+from derail_ros.engine.forces.pushes import next_push
+from derail_ros.engine.forces.track import first_overload, first_passing, on_track, truck_rows
+from derail_ros.engine.implicit import longest_stable
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
+from derail_ros.engine.methods import BOUND, EXPONENT, GAMMA, META
+from derail_ros.engine.neighbours import list_is_stale, rebuild, refresh_active
+from derail_ros.engine.runge_kutta import (
+    error_at_end,
+    last_stage_at_end,
+    stages_of,
+    step_error,
+    take_stages,
 )
-from derail_ros.engine.runge_kutta import longest_stable, step_error, take_stages
-from derail_ros.engine.solver import constraint_error, truck_rows
 from derail_ros.engine.trigonometry import angles
-from derail_ros.vocabulary.events import EventKind
 
 F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-
-TRUCK_DERAILED = int(EventKind.TRUCK_DERAILED)
-COUPLER_PARTED = int(EventKind.COUPLER_PARTED)
-RAIL_BREAK_SET = int(EventKind.RAIL_BREAK_SET)
-BRAKES_TRIGGERED = int(EventKind.BRAKES_TRIGGERED)
-BRAKE_SIGNAL_REACHED = int(EventKind.BRAKE_SIGNAL_REACHED)
-CAR_AT_REST = int(EventKind.CAR_AT_REST)
-RUN_ENDED = int(EventKind.RUN_ENDED)
-RUN_VOID = int(EventKind.RUN_VOID)
 
 # What `advance` stopped for.
 DONE, DRAIN, GROW_PAIRS, GROW_CONTACTS = 0, 1, 2, 3
 NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
 
-LOCATED = 1e-7
-"""A crossing is located to this, m (breaks) or rad (couplings)."""
-
-OVERLOAD = 1e-3
-"""A lateral derailment is located to this, relative to the limit."""
-
-
-@inner_jit
-def speed_of(v: F64, i: int) -> float:
-    """Speed of the mass centre of car ``i``, m/s."""
-    return math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+# Verdicts on a trial: it stands; its error is too large; its end cannot be put onto the
+# constraints; there is a moment inside it (the next trial ends there); there are no accelerations
+# at its end.
+STANDS, INACCURATE, OFF_CONSTRAINTS, MOMENT_INSIDE, DEGENERATE = 0, 1, 2, 3, 4
 
 
 @inner_jit
@@ -82,380 +80,150 @@ def copy_items(to: NDArray[Any], what: NDArray[Any]) -> None:
 
 
 @inner_jit
-def breaks_in_use(breaks: F64) -> int:
-    """Number of rail breaks: the unused rows are infinite and come last."""
-    count = 0
-    while count < breaks.shape[0] and breaks[count] < math.inf:
-        count += 1
-    return count
-
-
-@inner_jit
-def step_cap(model: Model, v: F64) -> float:
-    """Largest step in which no corner moves further than its share of the buffer, s."""
-    fastest = 1e-9
-    for i in range(v.shape[0]):
-        fastest = max(fastest, speed_of(v, i) + abs(v[i, 2]) * model.car[i, L.RADIUS])
-    return min(model.par[L.H_MAX], model.par[L.STEP_SHARE] / fastest)
-
-
-@inner_jit
-def next_switch(model: Model, state: State, t: float) -> float:
-    """Next moment after ``t`` at which a force jumps: initiating forces, instant brakes."""
-    soon = math.inf
-    for k in range(model.lateral.shape[0]):
-        for c in (L.LF_T0, L.LF_T1):
-            if t < model.lateral[k, c] < soon:
-                soon = model.lateral[k, c]
-    for u in range(state.arrival.shape[0]):
-        for c in (L.ARR_INST, L.ARR_INST_TL):
-            if t < state.arrival[u, c] < soon:
-                soon = state.arrival[u, c]
-    return soon
-
-
-@inner_jit
-def _truck_speed(model: Model, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
-    """Speed of a truck along the track, m/s (normal in ``wk``; the car's cos and sin)."""
-    base = L.W_TF if k == 0 else L.W_TR
-    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
-    return wk[i, base + 1] * (v[i, 0] - r * v[i, 2] * st) - wk[i, base] * (
-        v[i, 1] + r * v[i, 2] * ct
-    )
-
-
-@inner_jit
-def first_crossing(model: Model, state: State, work: Work, h: float) -> float:
-    """Share of the step at which the first break is passed or coupling limit reached.
-
-    The step's end is in ``work.stage_q/v`` with its truck rows in ``work.wk``. 1.0 without a
-    crossing, or when the first one is within ``LOCATED`` of the end already.
-    """
+def plan_step(model: Model, state: State, work: Work) -> None:
+    """Choose the size of the first trial, and note what limits it."""
     keep_separate()
-    share = 1.0
-    wk = work.wk
-    breaks = breaks_in_use(state.breaks)
-    for i in range(state.q.shape[0]):
-        for k in range(2):
-            if state.truck_on[i, k] == 0:
-                continue
-            s0 = work.truck_s[i, k]
-            s1 = state.truck_s[i, k]
-            for b in range(breaks):
-                sb = state.breaks[b]
-                sign = 1.0 if s1 > s0 else -1.0
-                g0 = sign * (s0 - sb)
-                g1 = sign * (s1 - sb)
-                if g0 > 0.0 or g1 <= LOCATED:
-                    continue
-                d0 = (
-                    sign
-                    * h
-                    * _truck_speed(
-                        model, wk, state.v, i, k, math.cos(state.q[i, 2]), math.sin(state.q[i, 2])
-                    )
-                )
-                d1 = (
-                    sign
-                    * h
-                    * _truck_speed(model, wk, work.stage_v, i, k, wk[i, L.W_CT], wk[i, L.W_ST])
-                )
-                share = min(share, cubic_root(g0, d0, g1, d1))
-        if i < state.q.shape[0] - 1 and state.coupled[i]:
-            n0 = state.q[i, 4] - state.q[i + 1, 3]
-            n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
-            limit = model.knuckle[i, L.KN_LIMIT]
-            g0 = abs(n0) - limit
-            g1 = abs(n1) - limit
-            if g1 > LOCATED and g0 <= 0.0:
-                d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
-                d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
-                share = min(share, cubic_root(g0, d0, g1, d1))
-    return share
-
-
-@inner_jit
-def first_overload(model: Model, state: State, work: Work) -> float:
-    """Share of the step at which the first truck reaches its lateral limit, by the secant.
-
-    Forces at the end of the step are in ``work.lam_t``. 1.0 without one, or when the first is
-    within ``OVERLOAD`` of the limit already; 0.0 when a truck is above it from the start, because
-    another constraint has gone.
-    """
-    share = 1.0
-    for i in range(state.q.shape[0]):
-        if model.car[i, L.VIRTUAL] != 0.0:
-            continue
-        limit = model.par[L.LV_LIMIT] * 0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS]
-        for k in range(2):
-            if state.truck_on[i, k] == 0:
-                continue
-            f1 = abs(work.lam_t[i, k])
-            if f1 > limit * (1.0 + OVERLOAD):
-                f0 = abs(state.rail_force[i, k])
-                if f0 >= limit:
-                    share = 0.0
-                else:
-                    share = min(share, (limit * (1.0 + 0.5 * OVERLOAD) - f0) / (f1 - f0))
-    return share
-
-
-@inner_jit
-def add_event(
-    state: State,
-    work: Work,
-    kind: int,
-    t: float,
-    car: int,
-    car2: int,
-    end: int,
-    cause: int,
-    x: float,
-    y: float,
-    s: float,
-    speed: float,
-    value: float,
-) -> None:
-    """Append a row to the event buffer, kept in the order of time."""
-    keep_separate()
-    k = state.cnt[L.N_EVENTS]
-    while k > 0 and work.event[k - 1, L.V_TIME] > t:
-        for c in range(L.N_EVENT):
-            work.event[k, c] = work.event[k - 1, c]
-        k -= 1
-    row = work.event[k]
-    row[L.V_KIND] = kind
-    row[L.V_TIME] = t
-    row[L.V_CAR] = car
-    row[L.V_CAR2] = car2
-    row[L.V_END] = end
-    row[L.V_CAUSE] = cause
-    row[L.V_X] = x
-    row[L.V_Y] = y
-    row[L.V_S] = s
-    row[L.V_SPEED] = speed
-    row[L.V_VALUE] = value
-    row[L.V_STEP] = state.cnt[L.STEP]
-    state.cnt[L.N_EVENTS] += 1
-
-
-@inner_jit
-def derail_truck(
-    model: Model, state: State, work: Work, i: int, k: int, cause: int, value: float
-) -> None:
-    """Take a truck off the rails and say so."""
-    keep_separate()
-    t = state.clock[L.T]
-    state.truck_on[i, k] = 0
-    r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
-    speed = speed_of(state.v, i)
-    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
-        state.peak[i, L.PK_DERAIL_T] = t
-        state.peak[i, L.PK_DERAIL_V] = speed
-    add_event(
-        state, work, TRUCK_DERAILED, t, i + 1, 0, k + 1, cause,
-        state.q[i, 0] + r * math.cos(state.q[i, 2]), state.q[i, 1] + r * math.sin(state.q[i, 2]),
-        state.truck_s[i, k], speed, value,
-    )  # fmt: skip
-
-
-@jit
-def apply_brakes(
-    model: Model, state: State, at: float, backward: bool, forward: bool, kind: int, t: float
-) -> None:
-    """Start an emergency at the arc length ``at`` (m behind car 1's centre) at the time ``t``.
-
-    The signal runs ``backward`` (to the rear) and / or ``forward``. A brake can only be raised:
-    each unit keeps its earliest arrival of each kind.
-    """
-    speed = model.par[L.BRAKE_SPEED]
-    for u in range(state.arrival.shape[0]):
-        d = model.unit[u, L.U_DIST] - at
-        if (d > 0.0 and not backward) or (d < 0.0 and not forward):
-            continue
-        arrival = t + model.unit[u, L.U_DELAY]
-        if kind == L.ARR_CONV or kind == L.ARR_TL:
-            arrival += abs(d) / speed
-        state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
-
-
-@inner_jit
-def part_coupling(
-    model: Model, state: State, work: Work, i: int, cause: int, value: float
-) -> None:
-    """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
-    keep_separate()
-    t = state.clock[L.T]
-    before = coupler_energy(model, state.coupled, state.q)
-    state.coupled[i] = 0
-    after = coupler_energy(model, state.coupled, state.q)
-    state.energy[L.E_KNUCKLE] += before[1] - after[1]
-    arm = model.car[i, L.DP]
-    reach = model.car[i, L.DCR]
-    x = state.q[i, 0] - arm * math.cos(state.q[i, 2]) - reach * math.cos(state.q[i, 4])
-    y = state.q[i, 1] - arm * math.sin(state.q[i, 2]) - reach * math.sin(state.q[i, 4])
-    speed = speed_of(state.v, i)
-    add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
-    if model.par[L.VENT] != 0.0:
-        at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
-        apply_brakes(model, state, at, True, True, L.ARR_CONV, t)
-        add_event(
-            state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, L.CAUSE_VENT, x, y, math.nan,
-            speed, at,
-        )  # fmt: skip
-
-
-@inner_jit
-def remove_constraints(model: Model, state: State, work: Work) -> bool:
-    """Test the accepted state for derailments and parted couplings; True when any happened."""
-    keep_separate()
-    changed = False
-    n = state.q.shape[0]
-    weight = 0.5 * model.par[L.GRAVITY]
-    breaks = breaks_in_use(state.breaks)
-    for i in range(n):
-        virtual = model.car[i, L.VIRTUAL] != 0.0
-        for k in range(2):
-            if state.truck_on[i, k] == 0:
-                continue
-            s0 = work.truck_s[i, k]
-            s1 = state.truck_s[i, k]
-            passed = math.nan
-            for b in range(breaks):
-                sb = state.breaks[b]
-                # moving forward onto it, or backward
-                if (s1 > s0 and s0 <= sb <= s1 + LOCATED) or (
-                    s1 < s0 and s1 - LOCATED <= sb <= s0
-                ):
-                    passed = sb
-            if not math.isnan(passed):
-                if virtual:
-                    state.cnt[L.STATUS] = L.VOID
-                    add_event(
-                        state, work, RUN_VOID, state.clock[L.T], i + 1, 0, k + 1, L.CAUSE_BREAK,
-                        state.q[i, 0], state.q[i, 1], s1,
-                        speed_of(state.v, i), passed,
-                    )  # fmt: skip
-                    return changed
-                derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
-                if model.par[L.WHOLE_CAR] != 0.0 and state.truck_on[i, 1 - k]:
-                    derail_truck(model, state, work, i, 1 - k, L.CAUSE_BREAK, passed)
-                changed = True
-                continue
-            if virtual:
-                continue
-            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i, L.MASS])
-            if quotient > model.par[L.LV_LIMIT]:
-                derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
-                changed = True
-                if model.par[L.BREAK_FOLLOWS] != 0.0:
-                    if breaks < state.breaks.shape[0]:
-                        state.breaks[breaks] = s1
-                        breaks += 1
-                    add_event(
-                        state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
-                        L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
-                    )  # fmt: skip
-        if i < n - 1 and state.coupled[i]:
-            angle = abs(state.q[i, 4] - state.q[i + 1, 3])
-            if angle >= model.knuckle[i, L.KN_LIMIT] - LOCATED:
-                part_coupling(model, state, work, i, L.CAUSE_ANGLE, angle)
-                changed = True
-    return changed
-
-
-@inner_jit
-def note_progress(model: Model, state: State, work: Work) -> None:
-    """Events of the brakes and of cars that come to rest, and the end of the run."""
-    keep_separate()
-    t = state.clock[L.T]
     par = model.par
-    for u in range(state.arrival.shape[0]):
-        if state.reached[u]:
-            continue
-        arrival = state.arrival[u, 0]
-        for k in range(1, 4):
-            arrival = min(arrival, state.arrival[u, k])
-        if arrival <= t:
-            state.reached[u] = 1
-            i = int(model.unit[u, L.U_BODY])
-            add_event(
-                state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u, L.U_NUMBER]), 0, 0,
-                L.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
-                speed_of(state.v, i), model.unit[u, L.U_DIST],
-            )  # fmt: skip
-    resting = True
-    for i in range(state.q.shape[0]):
-        speed = speed_of(state.v, i)
-        rate = abs(state.v[i, 2])
-        if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
-            resting = False
-            if speed > 3.0 * par[L.REST_V] or rate > 3.0 * par[L.REST_W]:
-                state.peak[i, L.PK_RESTING] = 0.0
-        elif state.peak[i, L.PK_RESTING] == 0.0:
-            state.peak[i, L.PK_RESTING] = 1.0
-            add_event(
-                state, work, CAR_AT_REST, t, i + 1, 0, 0, L.CAUSE_NONE, state.q[i, 0],
-                state.q[i, 1], math.nan, speed, math.nan,
-            )  # fmt: skip
-    if not resting:
-        state.clock[L.REST_SINCE] = -1.0
-    elif state.clock[L.REST_SINCE] < 0.0:
-        state.clock[L.REST_SINCE] = t
-    elif t - state.clock[L.REST_SINCE] >= par[L.REST_HOLD] and state.cnt[L.STATUS] == L.RUNNING:
-        state.cnt[L.STATUS] = L.AT_REST
-        state.clock[L.DURATION] = state.clock[L.REST_SINCE]
-    if t >= par[L.T_LIMIT] and state.cnt[L.STATUS] == L.RUNNING:
-        state.cnt[L.STATUS] = L.TIME_LIMIT
-        state.clock[L.DURATION] = t
-    if state.cnt[L.STATUS] != L.RUNNING:
-        for p in range(state.cnt[L.N_PAIRS]):
-            if state.pair[p, L.P_ID] >= 0.0:
-                end_contact(state, p, t)
-        add_event(
-            state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[L.STATUS], math.nan, math.nan, math.nan,
-            math.nan, state.clock[L.DURATION],
-        )  # fmt: skip
+    trial = work.trial
+    t = state.clock[L.T]
+    copy_rows(work.truck_s, state.truck_s)
+    state.clock[L.T_ON] = t
+    # no corner may move further than its share of the buffer
+    fastest = 1e-9
+    for i in range(state.v.shape[0]):
+        rim = abs(state.v[i, 2]) * model.car[i, L.RADIUS]
+        fastest = max(fastest, speed_of(state.v, i) + rim)
+    cap = min(par[L.H_MAX], par[L.STEP_SHARE] / fastest)
+    h = state.clock[L.H_NEXT]
+    trial[L.TRY_WANTED] = h
+    limit = L.LIMIT_ACCURACY
+    if cap < h:
+        h = cap
+        limit = L.LIMIT_LARGEST if h == par[L.H_MAX] else L.LIMIT_CAP
+    if model.table[META, GAMMA] == 0.0:  # an explicit method
+        stable = longest_stable(model, state, work, h, model.table[META, BOUND])
+        if stable < h:
+            h = stable
+            limit = L.LIMIT_STABILITY
+    # land on a switched force exactly; a sliver before it is spread over two steps
+    switch = min(next_push(model, t), next_application(state, t))
+    if t + h >= switch:
+        h = switch - t
+        limit = L.LIMIT_MOMENT
+    elif t + 2.0 * h > switch:
+        h = 0.5 * (switch - t)
+    trial[L.TRY_SIZE] = h
+    trial[L.TRY_SWITCH] = switch
+    trial[L.TRY_LIMIT] = limit
+    trial[L.TRY_REJECTED] = 0.0
 
 
 @inner_jit
-def energy_residual(model: Model, state: State) -> float:
-    """Imbalance of the ledger, J: initial energy + put in - energy now - taken out."""
-    striker, knuckle = coupler_energy(model, state.coupled, state.q)
-    e = state.energy
-    return (
-        state.clock[L.E_INITIAL]
-        + e[L.E_EXTERNAL]
-        + e[L.E_STAB_NET]
-        - kinetic_energy(model, state.v)
-        - striker
-        - knuckle
-        - e[L.E_BRAKE]
-        - e[L.E_GROUND_TRUCK]
-        - e[L.E_GROUND_BODY]
-        - e[L.E_COLLISION]
-        - e[L.E_DAMPER]
-        - e[L.E_KNUCKLE]
-    )
+def try_stages(model: Model, state: State, work: Work) -> int:
+    """Take the stages of a step and put its end, ``work.stage_q/v``, onto the constraints."""
+    keep_separate()
+    trial = work.trial
+    h = trial[L.TRY_SIZE]
+    end = state.clock[L.T] + h
+    trial[L.TRY_END] = trial[L.TRY_SWITCH] if end >= trial[L.TRY_SWITCH] else end
+    trial[L.TRY_ERROR] = math.inf
+    # feet of the trucks start from the accepted state, whatever a rejected trial left
+    copy_rows(state.truck_s, work.truck_s)
+    if not take_stages(model, state, work, h):
+        return INACCURATE
+    if not error_at_end(model.table):
+        trial[L.TRY_ERROR] = step_error(model, state, work, h, stages_of(model.table))
+        if not trial[L.TRY_ERROR] <= 1.0:
+            return INACCURATE
+    trial[L.TRY_ENERGY] = stored_energy(model, state, work.stage_q, work.stage_v)
+    if model.par[L.PROJECT] != 0.0:
+        factors = last_stage_at_end(model.table) and trial[L.TRY_IMPLICIT] == 0.0
+        if not onto_constraints(model, state, work, work.stage_q, factors):
+            return OFF_CONSTRAINTS
+        project_velocities(model, state, work, work.stage_v)
+    else:
+        angles(work.stage_q, work.wk, work.ang)
+        truck_rows(model, state, work, work.stage_q)
+    return STANDS
 
 
 @inner_jit
-def on_track(model: Model, state: State) -> bool:
-    """Every truck on the rails lies within the alignment."""
-    pieces = model.track.shape[0]
-    if pieces == 0:
-        return True
-    first = model.track[0, L.TR_S]
-    last = model.track[pieces - 1, L.TR_S] + model.track[pieces - 1, L.TR_LEN]
-    for i in range(state.q.shape[0]):
-        for k in range(2):
-            if state.truck_on[i, k] and not first <= state.truck_s[i, k] <= last:
-                return False
-    return True
+def try_end(model: Model, state: State, work: Work) -> int:
+    """Accelerations at the end of the step, and the error of methods that count them."""
+    keep_separate()
+    trial = work.trial
+    stages = stages_of(model.table)
+    mode = FACTORED if model.par[L.PROJECT] != 0.0 else PLAIN
+    if not accelerations(
+        model, state, work, trial[L.TRY_END], work.stage_q, work.stage_v, work.kv[stages], mode
+    ):
+        return DEGENERATE
+    if error_at_end(model.table):
+        copy_rows(work.kq[stages], work.stage_v)
+        trial[L.TRY_ERROR] = step_error(model, state, work, trial[L.TRY_SIZE], stages + 1)
+        if not trial[L.TRY_ERROR] <= 1.0:
+            return INACCURATE
+    return STANDS
 
 
 @inner_jit
-def keep_last(state: State) -> None:
+def _end_at(model: Model, work: Work, share: float) -> int:
+    """Let the next trial end at a ``share`` of this one, unless that is its end already.
+
+    A truck that stands on a break derails within the smallest step.
+    """
+    trial = work.trial
+    size = max(share * trial[L.TRY_SIZE], model.par[L.H_MIN])
+    if not size < trial[L.TRY_SIZE]:
+        return STANDS
+    trial[L.TRY_SIZE] = size
+    trial[L.TRY_LIMIT] = L.LIMIT_MOMENT
+    trial[L.TRY_SWITCH] = math.inf
+    return MOMENT_INSIDE
+
+
+@inner_jit
+def locate_moment(model: Model, state: State, work: Work) -> int:
+    """Find the first moment inside the step that its motion shows."""
+    keep_separate()
+    h = work.trial[L.TRY_SIZE]
+    share = first_passing(model, state, work, h)
+    share = min(share, first_limit(model, state, work, h))
+    share = min(share, first_jump(model, state, work, h))
+    share = min(share, first_kink(model, state, work, h))
+    return _end_at(model, work, share)
+
+
+@inner_jit
+def locate_overload(model: Model, state: State, work: Work) -> int:
+    """Find the first moment at which a truck reaches its lateral limit (needs ``try_end``)."""
+    return _end_at(model, work, first_overload(model, state, work))
+
+
+@inner_jit
+def reject(model: Model, state: State, work: Work, verdict: int) -> int:
+    """Choose a smaller size after a bad trial; an error code when it falls below the floor."""
+    keep_separate()
+    trial = work.trial
+    state.cnt[L.REJECTED] += 1
+    trial[L.TRY_REJECTED] = 1.0
+    shrink = 0.25
+    code = SINGULAR
+    if verdict == INACCURATE:
+        trial[L.TRY_LIMIT] = L.LIMIT_ACCURACY
+        error = trial[L.TRY_ERROR]
+        shrink = 0.2
+        code = NON_FINITE
+        if math.isfinite(error):
+            shrink = min(0.9, max(0.2, 0.85 * error ** -model.table[META, EXPONENT]))
+            code = STEP_FLOOR
+    trial[L.TRY_SIZE] *= shrink
+    trial[L.TRY_WANTED] = trial[L.TRY_SIZE]
+    return code if trial[L.TRY_SIZE] < model.par[L.H_MIN] else DONE
+
+
+@inner_jit
+def _keep_last(state: State) -> None:
     """Remember the accepted state as the beginning of the last step."""
     copy_rows(state.q0, state.q)
     copy_rows(state.v0, state.v)
@@ -467,197 +235,120 @@ def keep_last(state: State) -> None:
 
 
 @inner_jit
-def keep_forces(state: State, work: Work) -> None:
+def _keep_forces(state: State, work: Work) -> None:
     """Powers and multipliers of the last evaluation into the state."""
     copy_items(state.power, work.power)
     copy_rows(state.rail_force, work.lam_t)
     copy_rows(state.coupler_force, work.lam_c)
 
 
-@inline_jit
-def step(model: Model, state: State, work: Work) -> int:
-    """Take one accepted step. Returns DONE or one of the error codes."""
-    par = model.par
+@inner_jit
+def take_over(model: Model, state: State, work: Work) -> None:
+    """Make the end of the trial the accepted state, with its ledger and counters."""
+    keep_separate()
+    trial = work.trial
     clock = state.clock
     cnt = state.cnt
-    t = clock[L.T]
-    floor = par[L.H_MIN]
-    project = par[L.PROJECT] != 0.0
-    stages = (model.table.shape[0] - 4) // 2
-    # the slope at the new state counts in the error, and the last stage stood there
-    to_end = model.table[2 * stages + 1, stages] != 0.0
-    last_at_end = model.table[2 * stages + 2, stages - 1] == 1.0
-    exponent = model.table[2 * stages + 3, 1]
-    explicit = model.table[2 * stages + 3, 0] == 0.0
-    copy_rows(work.truck_s, state.truck_s)
-    clock[L.T_ON] = t
-    switch = next_switch(model, state, t)
-    cap = step_cap(model, state.v)
-    wanted = clock[L.H_NEXT]
-    h = wanted
-    limit = L.LIMIT_ACCURACY
-    if cap < h:
-        h = cap
-        limit = L.LIMIT_CAP
-        if h == par[L.H_MAX]:
-            limit = L.LIMIT_LARGEST
-    if explicit:
-        stable = longest_stable(model, state, work, h, model.table[2 * stages + 3, 2])
-        if stable < h:
-            h = stable
-            limit = L.LIMIT_STABILITY
-    # land on a switch exactly; a sliver before it is spread over two steps
-    if t + h >= switch:
-        h = switch - t
-        limit = L.LIMIT_MOMENT
-    elif t + 2.0 * h > switch:
-        h = 0.5 * (switch - t)
-    rejected = False
-    grow = 1.0
-    e_before = 0.0
-    after = t
-    way = 0
-    while True:
-        # 0: go on; 1: the error is too large; 2: the projection fails; 3: a crossing inside
-        verdict = 0
-        error = math.inf
-        after = switch if t + h >= switch else t + h
-        # feet of the trucks start from the accepted state, whatever a rejected try left
-        copy_rows(state.truck_s, work.truck_s)
-        way = take_stages(model, state, work, h, stages)
-        if way >= 0 and not to_end:
-            error = step_error(model, state, work, h, stages, stages)
-            if not error <= 1.0:
-                verdict = 1
-        elif way < 0:
-            verdict = 1
-        if verdict == 0:
-            striker, knuckle = coupler_energy(model, state.coupled, work.stage_q)
-            e_before = kinetic_energy(model, work.stage_v) + striker + knuckle
-            if project:
-                if onto_constraints(
-                    model, state, work, state.truck_on, state.coupled, work.stage_q,
-                    last_at_end and way == 0,
-                ):  # fmt: skip
-                    project_velocities(model, work, state.truck_on, state.coupled, work.stage_v)
-                else:
-                    verdict = 2
-            else:
-                angles(work.stage_q, work.wk, work.ang)
-                truck_rows(
-                    model.car, model.track, state.truck_s, state.truck_on, work.stage_q, work.wk
-                )
-        if verdict == 0 and par[L.LOCATE] != 0.0:
-            share = first_crossing(model, state, work, h)
-            share = min(share, first_change(model, state, work, h))
-            share = min(share, first_kink(model, state, work, h))
-            # a truck that stands on the break derails within the smallest step
-            located = max(share * h, floor)
-            if share < 1.0 and located < h:
-                h = located
-                limit = L.LIMIT_MOMENT
-                switch = math.inf
-                verdict = 3
-        if verdict == 0:
-            if not accelerations(
-                model, state, work, after, state.truck_on, state.coupled, work.stage_q,
-                work.stage_v, work.kv[stages], FACTORED if project else PLAIN,
-            ):  # fmt: skip
-                copy_rows(state.truck_s, work.truck_s)
-                return SINGULAR
-            if to_end:
-                for i in range(state.q.shape[0]):
-                    for k in range(5):
-                        work.kq[stages, i, k] = work.stage_v[i, k]
-                error = step_error(model, state, work, h, stages, stages + 1)
-                if not error <= 1.0:
-                    verdict = 1
-        if verdict == 0 and par[L.LOCATE] != 0.0:
-            located = max(first_overload(model, state, work) * h, floor)
-            if located < h:
-                h = located
-                limit = L.LIMIT_MOMENT
-                switch = math.inf
-                verdict = 3
-        if verdict == 0:
-            grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -exponent))
-            break
-        if verdict == 3:
-            continue
-        cnt[L.REJECTED] += 1
-        rejected = True
-        if verdict == 1:
-            ok = math.isfinite(error)
-            shrink = 0.2
-            if ok:
-                shrink = min(0.9, max(0.2, 0.85 * error**-exponent))
-            limit = L.LIMIT_ACCURACY
-            h *= shrink
-            wanted = h
-            if h < floor:
-                copy_rows(state.truck_s, work.truck_s)
-                return STEP_FLOOR if ok else NON_FINITE
-        else:
-            h *= 0.25
-            wanted = h
-            if h < floor:
-                copy_rows(state.truck_s, work.truck_s)
-                return SINGULAR
-    for i in range(state.q.shape[0]):
-        for k in range(5):
-            if not math.isfinite(work.kv[stages, i, k] + work.stage_q[i, k] + work.stage_v[i, k]):
-                copy_rows(state.truck_s, work.truck_s)
-                return NON_FINITE
-
-    # accepted
-    clock[L.T_PREV] = t
-    clock[L.T] = after
-    keep_last(state)
+    h = trial[L.TRY_SIZE]
+    clock[L.T_PREV] = clock[L.T]
+    clock[L.T] = trial[L.TRY_END]
+    _keep_last(state)
     copy_rows(state.q, work.stage_q)
     copy_rows(state.v, work.stage_v)
     for k in range(L.N_POWER):
         state.energy[k] += h * work.mean_power[k]
-    striker, knuckle = coupler_energy(model, state.coupled, state.q)
-    stored = kinetic_energy(model, state.v) + striker + knuckle
-    moved = stored - e_before
+    moved = stored_energy(model, state, state.q, state.v) - trial[L.TRY_ENERGY]
     state.energy[L.E_STAB_NET] += moved
     state.energy[L.E_STAB_GROSS] += abs(moved)
     cnt[L.STEP] += 1
-    cnt[limit] += 1
-    cnt[L.IMPLICIT_STEPS] += way
-    copy_rows(state.a1, work.kv[stages])
+    cnt[int(trial[L.TRY_LIMIT])] += 1
+    cnt[L.IMPLICIT_STEPS] += int(trial[L.TRY_IMPLICIT])
+    copy_rows(state.a1, work.kv[stages_of(model.table)])
     copy_rows(state.a, state.a1)
     copy_items(state.power1, work.power)
-    keep_forces(state, work)
-    gap, offset = constraint_error(model.car, state.truck_on, state.coupled, state.q, work.wk)
+    _keep_forces(state, work)
+    gap, offset = constraint_error(model, state, work, state.q)
     clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
     clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
 
-    track_contacts(model, state, work, clock[L.T], h)
+
+@inner_jit
+def _next_size(model: Model, state: State, work: Work) -> None:
+    """Propose the next size from the error; a step cut short for other reasons shrinks nothing."""
+    trial = work.trial
+    grow = 0.85 * max(trial[L.TRY_ERROR], 1e-10) ** -model.table[META, EXPONENT]
+    grow = min(2.0, max(0.2, grow))
+    if trial[L.TRY_REJECTED] != 0.0:
+        grow = min(grow, 1.0)
+    proposal = trial[L.TRY_SIZE] * grow
+    if trial[L.TRY_LIMIT] != L.LIMIT_ACCURACY:
+        proposal = max(proposal, trial[L.TRY_WANTED])
+    state.clock[L.H_NEXT] = min(max(proposal, model.par[L.H_MIN]), model.par[L.H_MAX])
+
+
+@inner_jit
+def accept(model: Model, state: State, work: Work) -> int:
+    """Go on to the end of the trial: contacts, constraints that go, events, the ledger."""
+    keep_separate()
+    clock = state.clock
+    take_over(model, state, work)
+    track_contacts(model, state, work, clock[L.T], work.trial[L.TRY_SIZE])
     changed = remove_constraints(model, state, work)
     note_progress(model, state, work)
-    if changed or clock[L.T] == switch:
+    if changed or clock[L.T] == work.trial[L.TRY_SWITCH]:
         clock[L.T_ON] = clock[L.T]
-        if not accelerations(
-            model, state, work, clock[L.T], state.truck_on, state.coupled, state.q, state.v,
-            state.a, PLAIN,
-        ):  # fmt: skip
+        if not accelerations(model, state, work, clock[L.T], state.q, state.v, state.a, PLAIN):
             return SINGULAR
-        keep_forces(state, work)
+        _keep_forces(state, work)
     if clock[L.E_INITIAL] > 0.0:
         clock[L.MAX_RESIDUAL] = max(
             clock[L.MAX_RESIDUAL], abs(energy_residual(model, state)) / clock[L.E_INITIAL]
         )
-    # The next size follows the error; a step cut short for other reasons does not shrink it.
-    if rejected:
-        grow = min(grow, 1.0)
-    proposal = h * grow
-    if limit != L.LIMIT_ACCURACY:
-        proposal = max(proposal, wanted)
-    clock[L.H_NEXT] = min(max(proposal, floor), par[L.H_MAX])
-    if not on_track(model, state):
-        return TRACK_END
-    return DONE
+    _next_size(model, state, work)
+    return DONE if on_track(model, state) else TRACK_END
+
+
+@inner_jit
+def _finite_end(work: Work, stages: int) -> bool:
+    """State and accelerations at the end of the trial are numbers."""
+    q = work.stage_q
+    v = work.stage_v
+    for i in range(q.shape[0]):
+        for k in range(5):
+            if not math.isfinite(work.kv[stages, i, k] + q[i, k] + v[i, k]):
+                return False
+    return True
+
+
+@inner_jit
+def step(model: Model, state: State, work: Work) -> int:
+    """Take one accepted step. Returns DONE or one of the error codes."""
+    locate = model.par[L.LOCATE] != 0.0
+    plan_step(model, state, work)
+    code = DONE
+    while True:
+        verdict = try_stages(model, state, work)
+        if verdict == STANDS and locate:
+            verdict = locate_moment(model, state, work)
+        if verdict == STANDS:
+            verdict = try_end(model, state, work)
+        if verdict == STANDS and locate:
+            verdict = locate_overload(model, state, work)
+        if verdict == STANDS:
+            if not _finite_end(work, stages_of(model.table)):
+                code = NON_FINITE
+            break
+        if verdict == DEGENERATE:
+            code = SINGULAR
+            break
+        if verdict != MOMENT_INSIDE:
+            code = reject(model, state, work, verdict)
+            if code != DONE:
+                break
+    if code != DONE:
+        copy_rows(state.truck_s, work.truck_s)  # the accepted state's again
+        return code
+    return accept(model, state, work)
 
 
 @jit

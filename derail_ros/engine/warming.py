@@ -137,43 +137,53 @@ def _types() -> tuple[Any, Any, Any]:
     return typeof(model), typeof(state), typeof(work)
 
 
-def compile_stepping() -> None:
-    """Compile the parts of ``advance`` that evaluate no forces."""
+def stepping() -> list[tuple[Any, tuple[Any, ...]]]:
+    """The parts of ``advance`` that evaluate no forces, each with the types of its arguments."""
     from numba import float64, int64
 
-    from derail_ros.engine import features, interpolation, neighbours, runge_kutta, stepper
+    from derail_ros.engine import (
+        contacts,
+        energy,
+        events,
+        interpolation,
+        neighbours,
+        runge_kutta,
+        stepper,
+    )
 
     m, s, w = _types()
     table, row = float64[:, ::1], float64[::1]
-    for kernel, types in (
+    return [
         # first, for the stages want its friction, which is then in the cache
-        (runge_kutta.longest_stable, (m, s, w, float64, float64)),
-        (neighbours.track_contacts, (m, s, w, float64, float64)),
-        (stepper.remove_constraints, (m, s, w)),
-        (runge_kutta.step_error, (m, s, w, float64, int64, int64)),
-        (stepper.note_progress, (m, s, w)),
-        (features.first_change, (m, s, w, float64)),
-        (features.first_kink, (m, s, w, float64)),
-        (stepper.first_crossing, (m, s, w, float64)),
+        (stepper.plan_step, (m, s, w)),
+        (contacts.track_contacts, (m, s, w, float64, float64)),
+        (events.remove_constraints, (m, s, w)),
+        (runge_kutta.step_error, (m, s, w, float64, int64)),
+        (events.note_progress, (m, s, w)),
+        (stepper.locate_moment, (m, s, w)),
         (neighbours.refresh_active, (m, s, w)),
-        (stepper.first_overload, (m, s, w)),
-        (stepper.keep_last, (s,)),
-        (stepper.keep_forces, (s, w)),
-        (stepper.energy_residual, (m, s)),
-        (stepper.next_switch, (m, s, float64)),
+        (stepper.locate_overload, (m, s, w)),
+        (stepper.take_over, (m, s, w)),
+        (stepper.reject, (m, s, w, int64)),
+        (energy.energy_residual, (m, s)),
         (interpolation.interpolate, (s, float64, table, table, table)),
         (interpolation.interpolate_energy, (s, float64, row)),
-    ):
+    ]
+
+
+def compile_stepping() -> None:
+    """Compile the parts of ``advance`` that evaluate no forces."""
+    for kernel, types in stepping():
         kernel.compile(types)
 
 
 def compile_stages() -> None:
     """Compile the stages of a step, which evaluate forces."""
-    from numba import float64, int64
+    from numba import float64
 
     from derail_ros.engine import runge_kutta
 
-    runge_kutta.take_stages.compile((*_types(), float64, int64))
+    runge_kutta.take_stages.compile((*_types(), float64))
 
 
 def be_second_process() -> None:

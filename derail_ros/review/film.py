@@ -202,7 +202,7 @@ class _Stage:
         """(H, W, 3) the picture at a time."""
         run = self.run
         scene = scene_at(run, time)
-        corners = scene.corners()
+        corners = scene.outlines()
         state = figures._state(scene)
         real = run.cars.real
         for k, body in enumerate(self.bodies):

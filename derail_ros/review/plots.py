@@ -212,7 +212,7 @@ def _draw_velocities(axes: Axes, run: RecordedRun, time: float, window: figures.
 
 
 def _draw_pair(axes: Axes, scene: Any, contact: Collision) -> None:
-    corners = scene.corners()
+    corners = scene.outlines()
     for car in (contact.car_a, contact.car_b):
         axes.add_patch(
             Polygon(corners[car - 1], closed=True, fill=False, ec=VERMILION, lw=2.2, zorder=9)

@@ -193,7 +193,8 @@ class Finding:
 def finite(run: PlanarSimulation) -> bool:
     """State and forces are finite."""
     s = run.sample()
-    arrays = (s.q, s.v, s.a, s.rail_force, s.coupler_force, s.collision_force, s.energy)
+    energy = list(s.energy.values())
+    arrays = (s.q, s.v, s.acceleration, s.rail_force, s.coupler_force, s.collision_force, energy)
     return all(bool(np.isfinite(a).all()) for a in arrays)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from derail_ros.engine import PlanarSimulation
 from derail_ros.engine import layout as L
 from derail_ros.engine.dynamics import project_positions, project_velocities
-from derail_ros.engine.forces import coupler_energy, kinetic_energy
+from derail_ros.engine.energy import kinetic_energy
+from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.vocabulary.params import (
     BrakeParams,
@@ -205,8 +206,8 @@ def start(params, q=None, v=None, **constraints):
 def project(run):
     """Move the state onto the constraints, in the metric of the masses."""
     s = run._state
-    assert project_positions(run._model, s, run._work, s.truck_on, s.coupled, s.q)
-    project_velocities(run._model, run._work, s.truck_on, s.coupled, s.v)
+    assert project_positions(run._model, s, run._work, s.q)
+    project_velocities(run._model, s, run._work, s.v)
     return place(run)
 
 

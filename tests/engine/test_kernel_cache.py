@@ -192,10 +192,11 @@ print(20.0 * drag(20.0, 0.8, 0.7, 0.01, 0.03))
 
 
 RUN = """
-from derail_ros.engine import *
+from derail_ros.engine import PlanarSimulation
+from derail_ros.vocabulary.params import *
 coupler = CouplerType("F73", "F", 1.524, 1.220, 0.300, 4.88e6)
 car = Car(68e3, 1.165e6, 14.1, 2.6, 6.65, 5.75, coupler, coupler)
-run = Simulation(TrainParams(
+run = PlanarSimulation(TrainParams(
     cars=(car, car),
     initiation=InitiationParams(speed=10.0),
     brakes=BrakeParams(triggers=()),

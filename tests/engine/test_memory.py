@@ -8,7 +8,8 @@ import pytest
 RESIDENT = """
 import os
 from dataclasses import replace
-from derail_ros.engine import *
+from derail_ros.engine import PlanarSimulation, warm_up
+from derail_ros.vocabulary.params import *
 
 def resident():
     with open("/proc/self/statm") as file:
@@ -20,7 +21,7 @@ car = Car(68e3, 1.165e6, 14.1, 2.6, 6.65, 5.75, coupler, coupler, brakes=())
 
 # The first car is off the rails, and nothing slows it down.
 ROLLING = """
-run = Simulation(TrainParams(
+run = PlanarSimulation(TrainParams(
     cars=(car,) * 10,
     initiation=InitiationParams(speed=10.0, derailed_trucks=((1, "front"), (1, "rear"))),
     brakes=BrakeParams(triggers=()),
@@ -39,7 +40,7 @@ print(resident() - before)
 LONG_TRAIN = """
 warm_up()
 before = resident()
-run = Simulation(TrainParams(
+run = PlanarSimulation(TrainParams(
     cars=(car,) * 1000,
     initiation=InitiationParams(speed=10.0, derailed_trucks=((1, "front"), (1, "rear"))),
     integration=IntegrationParams(time_limit=20.0),

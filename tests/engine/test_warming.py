@@ -180,18 +180,11 @@ def test_stale_folders_go_unless_in_use(tmp_path):
 def test_the_second_process_compiles_what_the_first_then_uses(tmp_path):
     # signatures that `advance` does not call with would be compiled for nothing
     code = (
-        "from derail_ros.engine import stepper, features, neighbours, runge_kutta, warming\n"
-        "from derail_ros.engine import interpolation\n"
+        "from derail_ros.engine import warming, runge_kutta\n"
         "warming._ready.set()\n"
         "warming.compile_stepping()\n"
         "warming._exercise(warming.compile_stages)\n"
-        "for kernel in (neighbours.track_contacts, stepper.remove_constraints,\n"
-        "        runge_kutta.longest_stable, runge_kutta.step_error, runge_kutta.take_stages,\n"
-        "        neighbours.refresh_active, stepper.note_progress,\n"
-        "        features.first_change, features.first_kink,\n"
-        "        stepper.first_crossing, stepper.first_overload, stepper.keep_last,\n"
-        "        stepper.keep_forces, stepper.energy_residual, stepper.next_switch,\n"
-        "        interpolation.interpolate, interpolation.interpolate_energy):\n"
+        "for kernel in (runge_kutta.take_stages, *(k for k, _ in warming.stepping())):\n"
         "    assert len(kernel.signatures) == 1, kernel\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)

@@ -1,0 +1,56 @@
+"""Energy of the train, and the balance of the ledger."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State
+from derail_ros.engine.forces.couplers import coupler_energy
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
+
+F64 = NDArray[np.float64]
+
+
+@jit
+def kinetic_energy(model: Model, v: F64) -> float:
+    """Kinetic energy of all bodies, J."""
+    total = 0.0
+    car = model.car
+    for i in range(v.shape[0]):
+        total += 0.5 * (
+            car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+            + car[i, L.INERTIA] * v[i, 2] * v[i, 2]
+            + car[i, L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
+        )
+    return total
+
+
+@inner_jit
+def stored_energy(model: Model, state: State, q: F64, v: F64) -> float:
+    """Kinetic energy and energy in strikers and knuckles at (q, v), J."""
+    striker, knuckle = coupler_energy(model, state.coupled, q)
+    return kinetic_energy(model, v) + striker + knuckle
+
+
+@inner_jit
+def energy_residual(model: Model, state: State) -> float:
+    """Imbalance of the ledger, J: initial energy + put in - energy now - taken out."""
+    keep_separate()
+    striker, knuckle = coupler_energy(model, state.coupled, state.q)
+    e = state.energy
+    return (
+        state.clock[L.E_INITIAL]
+        + e[L.E_EXTERNAL]
+        + e[L.E_STAB_NET]
+        - kinetic_energy(model, state.v)
+        - striker
+        - knuckle
+        - e[L.E_BRAKE]
+        - e[L.E_GROUND_TRUCK]
+        - e[L.E_GROUND_BODY]
+        - e[L.E_COLLISION]
+        - e[L.E_DAMPER]
+        - e[L.E_KNUCKLE]
+    )

@@ -1,0 +1,224 @@
+"""What happens at an accepted state: derailments, parted couplings, brakes, rest, the end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.contacts import end_contact
+from derail_ros.engine.forces.brakes import apply_brakes
+from derail_ros.engine.forces.couplers import coupler_energy
+from derail_ros.engine.forces.track import break_passed, breaks_in_use, truck_arm
+from derail_ros.engine.interpolation import LOCATED
+from derail_ros.engine.jit import inner_jit, keep_separate
+from derail_ros.vocabulary.events import EventKind
+
+F64 = NDArray[np.float64]
+
+TRUCK_DERAILED = int(EventKind.TRUCK_DERAILED)
+COUPLER_PARTED = int(EventKind.COUPLER_PARTED)
+RAIL_BREAK_SET = int(EventKind.RAIL_BREAK_SET)
+BRAKES_TRIGGERED = int(EventKind.BRAKES_TRIGGERED)
+BRAKE_SIGNAL_REACHED = int(EventKind.BRAKE_SIGNAL_REACHED)
+CAR_AT_REST = int(EventKind.CAR_AT_REST)
+RUN_ENDED = int(EventKind.RUN_ENDED)
+RUN_VOID = int(EventKind.RUN_VOID)
+
+
+@inner_jit
+def speed_of(v: F64, i: int) -> float:
+    """Speed of the mass centre of car ``i``, m/s."""
+    return math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+
+
+@inner_jit
+def add_event(
+    state: State,
+    work: Work,
+    kind: int,
+    t: float,
+    car: int,
+    car2: int,
+    end: int,
+    cause: int,
+    x: float,
+    y: float,
+    s: float,
+    speed: float,
+    value: float,
+) -> None:
+    """Append a row to the event buffer, kept in the order of time."""
+    keep_separate()
+    k = state.cnt[L.N_EVENTS]
+    while k > 0 and work.event[k - 1, L.V_TIME] > t:
+        for c in range(L.N_EVENT):
+            work.event[k, c] = work.event[k - 1, c]
+        k -= 1
+    row = work.event[k]
+    row[L.V_KIND] = kind
+    row[L.V_TIME] = t
+    row[L.V_CAR] = car
+    row[L.V_CAR2] = car2
+    row[L.V_END] = end
+    row[L.V_CAUSE] = cause
+    row[L.V_X] = x
+    row[L.V_Y] = y
+    row[L.V_S] = s
+    row[L.V_SPEED] = speed
+    row[L.V_VALUE] = value
+    row[L.V_STEP] = state.cnt[L.STEP]
+    state.cnt[L.N_EVENTS] += 1
+
+
+@inner_jit
+def _derail_truck(
+    model: Model, state: State, work: Work, i: int, k: int, cause: int, value: float
+) -> None:
+    """Take a truck off the rails, with its event."""
+    keep_separate()
+    t = state.clock[L.T]
+    state.truck_on[i, k] = 0
+    r = truck_arm(model.car, i, k)
+    speed = speed_of(state.v, i)
+    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
+        state.peak[i, L.PK_DERAIL_T] = t
+        state.peak[i, L.PK_DERAIL_V] = speed
+    add_event(
+        state, work, TRUCK_DERAILED, t, i + 1, 0, k + 1, cause,
+        state.q[i, 0] + r * math.cos(state.q[i, 2]), state.q[i, 1] + r * math.sin(state.q[i, 2]),
+        state.truck_s[i, k], speed, value,
+    )  # fmt: skip
+
+
+@inner_jit
+def _part_coupling(
+    model: Model, state: State, work: Work, i: int, cause: int, value: float
+) -> None:
+    """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
+    keep_separate()
+    t = state.clock[L.T]
+    before = coupler_energy(model, state.coupled, state.q)
+    state.coupled[i] = 0
+    after = coupler_energy(model, state.coupled, state.q)
+    state.energy[L.E_KNUCKLE] += before[1] - after[1]
+    arm = model.car[i, L.DP]
+    reach = model.car[i, L.DCR]
+    x = state.q[i, 0] - arm * math.cos(state.q[i, 2]) - reach * math.cos(state.q[i, 4])
+    y = state.q[i, 1] - arm * math.sin(state.q[i, 2]) - reach * math.sin(state.q[i, 4])
+    speed = speed_of(state.v, i)
+    add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
+    if model.par[L.VENT] != 0.0:
+        at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
+        apply_brakes(model, state, at, True, True, L.ARR_CONV, t)
+        add_event(
+            state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, L.CAUSE_VENT, x, y, math.nan,
+            speed, at,
+        )  # fmt: skip
+
+
+@inner_jit
+def remove_constraints(model: Model, state: State, work: Work) -> bool:
+    """Test the accepted state for derailments and parted couplings; True when any happened."""
+    keep_separate()
+    changed = False
+    n = state.q.shape[0]
+    weight = 0.5 * model.par[L.GRAVITY]
+    for i in range(n):
+        virtual = model.car[i, L.VIRTUAL] != 0.0
+        for k in range(2):
+            if state.truck_on[i, k] == 0:
+                continue
+            s1 = state.truck_s[i, k]
+            passed = break_passed(state, work, i, k)
+            if not math.isnan(passed):
+                if virtual:
+                    state.cnt[L.STATUS] = L.VOID
+                    add_event(
+                        state, work, RUN_VOID, state.clock[L.T], i + 1, 0, k + 1, L.CAUSE_BREAK,
+                        state.q[i, 0], state.q[i, 1], s1,
+                        speed_of(state.v, i), passed,
+                    )  # fmt: skip
+                    return changed
+                _derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
+                if model.par[L.WHOLE_CAR] != 0.0 and state.truck_on[i, 1 - k]:
+                    _derail_truck(model, state, work, i, 1 - k, L.CAUSE_BREAK, passed)
+                changed = True
+                continue
+            if virtual:
+                continue
+            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i, L.MASS])
+            if quotient > model.par[L.LV_LIMIT]:
+                _derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
+                changed = True
+                if model.par[L.BREAK_FOLLOWS] != 0.0:
+                    breaks = breaks_in_use(state)
+                    if breaks < state.breaks.shape[0]:
+                        state.breaks[breaks] = s1
+                    add_event(
+                        state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
+                        L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
+                    )  # fmt: skip
+        if i < n - 1 and state.coupled[i]:
+            angle = abs(state.q[i, 4] - state.q[i + 1, 3])
+            if angle >= model.knuckle[i, L.KN_LIMIT] - LOCATED:
+                _part_coupling(model, state, work, i, L.CAUSE_ANGLE, angle)
+                changed = True
+    return changed
+
+
+@inner_jit
+def note_progress(model: Model, state: State, work: Work) -> None:
+    """Events of the brakes and of cars that come to rest, and the end of the run."""
+    keep_separate()
+    t = state.clock[L.T]
+    par = model.par
+    for u in range(state.arrival.shape[0]):
+        if state.reached[u]:
+            continue
+        arrival = state.arrival[u, 0]
+        for k in range(1, 4):
+            arrival = min(arrival, state.arrival[u, k])
+        if arrival <= t:
+            state.reached[u] = 1
+            i = int(model.unit[u, L.U_BODY])
+            add_event(
+                state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u, L.U_NUMBER]), 0, 0,
+                L.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
+                speed_of(state.v, i), model.unit[u, L.U_DIST],
+            )  # fmt: skip
+    resting = True
+    for i in range(state.q.shape[0]):
+        speed = speed_of(state.v, i)
+        rate = abs(state.v[i, 2])
+        if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
+            resting = False
+            if speed > 3.0 * par[L.REST_V] or rate > 3.0 * par[L.REST_W]:
+                state.peak[i, L.PK_RESTING] = 0.0
+        elif state.peak[i, L.PK_RESTING] == 0.0:
+            state.peak[i, L.PK_RESTING] = 1.0
+            add_event(
+                state, work, CAR_AT_REST, t, i + 1, 0, 0, L.CAUSE_NONE, state.q[i, 0],
+                state.q[i, 1], math.nan, speed, math.nan,
+            )  # fmt: skip
+    if not resting:
+        state.clock[L.REST_SINCE] = -1.0
+    elif state.clock[L.REST_SINCE] < 0.0:
+        state.clock[L.REST_SINCE] = t
+    elif t - state.clock[L.REST_SINCE] >= par[L.REST_HOLD] and state.cnt[L.STATUS] == L.RUNNING:
+        state.cnt[L.STATUS] = L.AT_REST
+        state.clock[L.DURATION] = state.clock[L.REST_SINCE]
+    if t >= par[L.T_LIMIT] and state.cnt[L.STATUS] == L.RUNNING:
+        state.cnt[L.STATUS] = L.TIME_LIMIT
+        state.clock[L.DURATION] = t
+    if state.cnt[L.STATUS] != L.RUNNING:
+        for p in range(state.cnt[L.N_PAIRS]):
+            if state.pair[p, L.P_ID] >= 0.0:
+                end_contact(state, p, t)
+        add_event(
+            state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[L.STATUS], math.nan, math.nan, math.nan,
+            math.nan, state.clock[L.DURATION],
+        )  # fmt: skip

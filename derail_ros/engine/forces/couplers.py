@@ -1,0 +1,287 @@
+"""Couplers: strikers, knuckles, and the joint of two mated couplers.
+
+Force: a striker holds its coupler body in the middle with a spring and a damper
+(``laws.striker``); two mated knuckles resist the angle between their couplers (``laws.knuckle``,
+or ``laws.joint`` where the moment is held). Power: what the dampers take out. Energy: what springs
+and knuckles store. Constraint: the mated faces of a coupling coincide, two rows of J a coupling.
+Moments: a spring or knuckle begins or ceases to work; a coupling reaches its limit angle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.interpolation import LOCATED, cubic_root
+from derail_ros.engine.jit import inner_jit, jit, keep_separate
+from derail_ros.engine.laws.joint import joint_energy, joint_moment
+from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
+from derail_ros.engine.laws.striker import spring_energy, spring_force
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+
+@inner_jit
+def _moment(model: Model, i: int, angle: float) -> float:
+    """Moment of the knuckles behind car ``i`` on its rear coupler, N m."""
+    kn = model.knuckle
+    if model.par[L.JOINT_HELD] != 0.0:
+        return joint_moment(
+            angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT],
+            kn[i, L.KN_WIDENING], kn[i, L.KN_TOP],
+        )  # fmt: skip
+    return knuckle_moment(angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT])
+
+
+@inner_jit
+def _energy(model: Model, i: int, angle: float) -> float:
+    """Energy in the knuckles behind car ``i``, J."""
+    kn = model.knuckle
+    if model.par[L.JOINT_HELD] != 0.0:
+        return joint_energy(
+            angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT],
+            kn[i, L.KN_WIDENING], kn[i, L.KN_TOP],
+        )  # fmt: skip
+    return knuckle_energy(angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT])
+
+
+@inner_jit
+def _striker(car: F64, q: F64, v: F64, i: int, end: int) -> tuple[float, float]:
+    """Force of a striker of car ``i`` (``end`` 0 front, 1 rear), N, and its damper's power, W."""
+    s = L.REAR * end
+    x = car[i, L.ARM + s] * (q[i, 3 + end] - q[i, 2])
+    rate = car[i, L.ARM + s] * (v[i, 3 + end] - v[i, 2])
+    spring = spring_force(x, car[i, L.OPEN + s], car[i, L.K1 + s], car[i, L.K2 + s])
+    return spring + car[i, L.DAMP + s] * rate, car[i, L.DAMP + s] * rate * rate
+
+
+@inner_jit
+def coupler_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
+    """Set ``work.force`` to the forces of strikers and knuckles."""
+    keep_separate()
+    n = q.shape[0]
+    car = model.car
+    force = work.force
+    report = work.report
+    reporting = report.shape[0] > 0
+    power = 0.0
+    for i in range(n):
+        front, lost_front = _striker(car, q, v, i, 0)
+        rear, lost_rear = _striker(car, q, v, i, 1)
+        power += lost_front
+        power += lost_rear
+        arm_front = car[i, L.ARM]
+        arm_rear = car[i, L.ARM + L.REAR]
+        force[i, 0] = 0.0
+        force[i, 1] = 0.0
+        force[i, 2] = arm_front * front + arm_rear * rear
+        force[i, 3] = -arm_front * front
+        force[i, 4] = -arm_rear * rear
+        if reporting:
+            report[i, L.R_STRIKER] = front
+            report[i, L.R_STRIKER + 1] = rear
+    for i in range(n - 1):
+        if state.coupled[i]:
+            moment = _moment(model, i, q[i, 4] - q[i + 1, 3])
+            force[i, 4] += moment
+            force[i + 1, 3] -= moment
+            if reporting:
+                report[i, L.R_KNUCKLE] = moment
+    work.power[L.E_DAMPER] = power
+
+
+@jit
+def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
+    """Energy now in the striker springs and in the knuckles, J."""
+    striker = 0.0
+    knuckle = 0.0
+    n = q.shape[0]
+    car = model.car
+    for i in range(n):
+        for end in range(2):
+            s = L.REAR * end
+            x = car[i, L.ARM + s] * (q[i, 3 + end] - q[i, 2])
+            striker += spring_energy(x, car[i, L.OPEN + s], car[i, L.K1 + s], car[i, L.K2 + s])
+        if i < n - 1 and coupled[i]:
+            knuckle += _energy(model, i, q[i, 4] - q[i + 1, 3])
+    return striker, knuckle
+
+
+# The joint -----------------------------------------------------------------------------------
+
+
+@inner_jit
+def rear_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """Velocity of the rear face of car ``k``, m/s."""
+    return (
+        v[k, 0] + car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] + car[k, L.DCR] * wk[k, L.W_SB] * v[k, 4],
+        v[k, 1] - car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] - car[k, L.DCR] * wk[k, L.W_CB] * v[k, 4],
+    )
+
+
+@inner_jit
+def front_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """Velocity of the front face of car ``k``, m/s."""
+    return (
+        v[k, 0] - car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] - car[k, L.DCF] * wk[k, L.W_SA] * v[k, 3],
+        v[k, 1] + car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] + car[k, L.DCF] * wk[k, L.W_CA] * v[k, 3],
+    )
+
+
+@inner_jit
+def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+    """``J v`` of coupling ``k``: rear face of car ``k`` less front face of ``k + 1``, m/s."""
+    bx, by = rear_rate(car, v, wk, k)
+    fx, fy = front_rate(car, v, wk, k + 1)
+    return bx - fx, by - fy
+
+
+@inner_jit
+def coupling_gap(car: F64, q: F64, wk: F64, k: int) -> tuple[float, float]:
+    """Rear face of car ``k`` less front face of car ``k + 1``, m."""
+    gx = (
+        q[k, 0]
+        - q[k + 1, 0]
+        - car[k, L.DP] * wk[k, L.W_CT]
+        - car[k, L.DCR] * wk[k, L.W_CB]
+        - car[k + 1, L.DP] * wk[k + 1, L.W_CT]
+        - car[k + 1, L.DCF] * wk[k + 1, L.W_CA]
+    )
+    gy = (
+        q[k, 1]
+        - q[k + 1, 1]
+        - car[k, L.DP] * wk[k, L.W_ST]
+        - car[k, L.DCR] * wk[k, L.W_SB]
+        - car[k + 1, L.DP] * wk[k + 1, L.W_ST]
+        - car[k + 1, L.DCF] * wk[k + 1, L.W_SA]
+    )
+    return gx, gy
+
+
+@inner_jit
+def coupling_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
+    """Couplings' part of ``gamma = -(dJ/dt) v`` into ``work.gamma_c``, m/s^2.
+
+    With Baumgarte's terms unless positions are projected.
+    """
+    par = model.par
+    car = model.car
+    wk = work.wk
+    stabilize = par[L.PROJECT] == 0.0
+    for k in range(q.shape[0] - 1):
+        if state.coupled[k] == 0:
+            continue
+        w1 = car[k, L.DP] * v[k, 2] * v[k, 2]
+        w2 = car[k, L.DCR] * v[k, 4] * v[k, 4]
+        w3 = car[k + 1, L.DP] * v[k + 1, 2] * v[k + 1, 2]
+        w4 = car[k + 1, L.DCF] * v[k + 1, 3] * v[k + 1, 3]
+        gx = -(
+            w1 * wk[k, L.W_CT]
+            + w2 * wk[k, L.W_CB]
+            + w3 * wk[k + 1, L.W_CT]
+            + w4 * wk[k + 1, L.W_CA]
+        )
+        gy = -(
+            w1 * wk[k, L.W_ST]
+            + w2 * wk[k, L.W_SB]
+            + w3 * wk[k + 1, L.W_ST]
+            + w4 * wk[k + 1, L.W_SA]
+        )
+        if stabilize:
+            rx, ry = coupling_rate(car, v, wk, k)
+            px, py = coupling_gap(car, q, wk, k)
+            gx -= par[L.B_VEL] * rx + par[L.B_POS] * px
+            gy -= par[L.B_VEL] * ry + par[L.B_POS] * py
+        work.gamma_c[k, 0] = gx
+        work.gamma_c[k, 1] = gy
+
+
+# Moments inside a step -----------------------------------------------------------------------
+
+KINK = 0.002
+"""A spring that begins or ends within a step counts as located below this share of ``F_max``."""
+
+
+@inner_jit
+def first_limit(model: Model, state: State, work: Work, h: float) -> float:
+    """Share of the step ``h`` at which the first coupling reaches its limit angle.
+
+    The step's end is in ``work.stage_q/v``. 1.0 if none does, or only within ``LOCATED`` (rad) of
+    the end.
+    """
+    share = 1.0
+    for i in range(state.q.shape[0] - 1):
+        if state.coupled[i] == 0:
+            continue
+        n0 = state.q[i, 4] - state.q[i + 1, 3]
+        n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
+        g0 = abs(n0) - model.knuckle[i, L.KN_LIMIT]
+        g1 = abs(n1) - model.knuckle[i, L.KN_LIMIT]
+        if g1 > LOCATED and g0 <= 0.0:
+            d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
+            d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
+            share = min(share, cubic_root(g0, d0, g1, d1))
+    return share
+
+
+@inner_jit
+def _engages(
+    x0: float, d0: float, x1: float, d1: float, start: float, stiffness: float, force: float
+) -> float:
+    """Share of the step at which ``|x|`` passes ``start``, either way; 1.0 if it may stand.
+
+    ``d0`` and ``d1`` are the slopes of x times the step. The step may stand if the spring's force
+    beyond ``start``, or what it lacks to begin, is below ``force`` at either end.
+    """
+    on = 1.0 if abs(x1) > abs(x0) and x1 > 0.0 or abs(x1) <= abs(x0) and x0 > 0.0 else -1.0
+    g0 = on * x0 - start
+    g1 = on * x1 - start
+    if (g0 > 0.0) == (g1 > 0.0):
+        return 1.0
+    most = force / stiffness
+    if g1 > most and g0 < -most:
+        return cubic_root(g0, on * d0, g1, on * d1)
+    if g1 < -most and g0 > most:
+        return cubic_root(-g0, -on * d0, -g1, -on * d1)
+    return 1.0
+
+
+@inner_jit
+def first_kink(model: Model, state: State, work: Work, h: float) -> float:
+    """Share of the step at which the first striker or knuckle begins or ceases to work.
+
+    Their forces have a kink there, which limits the order of a step with stiff strikers.
+    """
+    keep_separate()
+    car = model.car
+    knuckle = model.knuckle
+    q0 = state.q
+    v0 = state.v
+    q1 = work.stage_q
+    v1 = work.stage_v
+    force = KINK * model.par[L.C_FMAX]
+    share = 1.0
+    n = q0.shape[0]
+    for i in range(n):
+        for end in range(2):
+            s = L.REAR * end
+            arm = car[i, L.ARM + s]
+            share = min(share, _engages(
+                arm * (q0[i, 3 + end] - q0[i, 2]), h * arm * (v0[i, 3 + end] - v0[i, 2]),
+                arm * (q1[i, 3 + end] - q1[i, 2]), h * arm * (v1[i, 3 + end] - v1[i, 2]),
+                car[i, L.OPEN + s], car[i, L.K2 + s], force,
+            ))  # fmt: skip
+        if i < n - 1 and state.coupled[i]:
+            root = knuckle[i, L.KN_ROOT]
+            slope = abs(knuckle[i, L.KN_1] + 2.0 * knuckle[i, L.KN_2] * root)
+            share = min(share, _engages(
+                q0[i, 4] - q0[i + 1, 3], h * (v0[i, 4] - v0[i + 1, 3]),
+                q1[i, 4] - q1[i + 1, 3], h * (v1[i, 4] - v1[i + 1, 3]),
+                root, slope, force,
+            ))  # fmt: skip
+    return share

@@ -1,0 +1,149 @@
+"""Friction near rest, taken implicitly.
+
+Near rest the smoothed friction of ground and brakes relaxes velocities within a millisecond, which
+holds an explicit method to steps of that size long after all else has become slow. A W-method,
+
+    k_i = f(y + h sum_j alpha_ij k_j) + h A (gamma k_i + sum_j gamma_ij k_j)
+    y_new = y + h sum_i b_i k_i
+
+keeps the order of its conditions for *any* matrix A, so A may hold just what is stiff: minus the
+derivative C of the friction forces by the velocities, one symmetric 3 x 3 block a car, frozen over
+the step, and only for the cars whose friction is fast compared with the step. Where A is zero the
+explicit method (alpha, b) remains, at its full order.
+
+With the constraints, a stage is one solve with ``M + h gamma C`` in the place of M,
+
+    (M + h gamma C) k_i = Q(y_i) - h C sum_j gamma_ij k_j + J^T lambda,    J k_i = gamma(y_i)
+
+so that an implicit stage costs what an explicit one does. Source of W-methods: T. Steihaug and
+A. Wolfbrandt, Math. Comp. 33 (1979).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.forces.brakes import LARGEST_BRAKING, brake_damping
+from derail_ros.engine.forces.ground import ground_damping, largest_drag
+from derail_ros.engine.jit import inner_jit, keep_separate
+from derail_ros.engine.solver import plain_mass
+from derail_ros.engine.trigonometry import angles
+
+F64 = NDArray[np.float64]
+
+STIFF = 0.5
+"""Friction is taken implicitly where a step times its fastest rate exceeds this."""
+
+
+@inner_jit
+def friction_damping(model: Model, state: State, work: Work, h: float) -> bool:
+    """Damping C by friction of the stiff cars into ``work.wk``; True if there are any.
+
+    C is minus the derivative of the friction forces (ground, brakes) by (Vx, Vy, yaw rate) at the
+    accepted state. Angles are in ``work.wk``.
+    """
+    keep_separate()
+    wk = work.wk
+    car = model.car
+    v = state.v
+    eps = model.par[L.G_EPS]
+    some = False
+    for i in range(v.shape[0]):
+        # a bound on the rate of the friction at the slowest point of the car
+        speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+        slowest = max(0.0, speed - abs(v[i, 2]) * car[i, L.HALF_L])
+        bound = LARGEST_BRAKING + largest_drag(model, state, i)
+        wk[i, L.W_STIFF] = 0.0
+        if h * bound > STIFF * math.sqrt(slowest * slowest + eps * eps):
+            wk[i, L.W_STIFF] = 1.0
+            some = True
+            for k in range(6):
+                wk[i, L.W_C + k] = 0.0
+    if not some:
+        return False
+    brake_damping(model, state, work, state.clock[L.T], v)
+    ground_damping(model, state, work, v)
+    some = False
+    for i in range(v.shape[0]):
+        if wk[i, L.W_STIFF] != 0.0:
+            # the largest rate is below the trace
+            rate = (wk[i, L.W_C] + wk[i, L.W_C + 3]) / car[i, L.MASS]
+            rate += wk[i, L.W_C + 5] / car[i, L.INERTIA]
+            if h * rate <= STIFF:
+                wk[i, L.W_STIFF] = 0.0
+            else:
+                some = True
+    return some
+
+
+@inner_jit
+def longest_stable(model: Model, state: State, work: Work, h: float, bound: float) -> float:
+    """Longest step up to ``h`` in which an explicit method is stable under the friction, s.
+
+    ``bound`` is the method's along the negative real axis; a tenth of it is left to what the
+    friction changes within the step. The fastest rate is the largest eigenvalue of ``M^-1 C`` of a
+    car, from above: the largest sum of a row's sizes, in the metric of the masses. Constraints
+    only make it slower.
+
+    Error control alone does not see the instability of a car at rest: steps grow until what
+    rounding has left of its velocities has become an oscillation of the size of the tolerance.
+    """
+    keep_separate()
+    wk = work.wk
+    car = model.car
+    angles(state.q, wk, work.ang)
+    if not friction_damping(model, state, work, h):
+        return h
+    fastest = 0.0
+    for i in range(wk.shape[0]):
+        if wk[i, L.W_STIFF] == 0.0:
+            continue
+        wk[i, L.W_STIFF] = 0.0
+        root = math.sqrt(car[i, L.MASS] * car[i, L.INERTIA])
+        xy = abs(wk[i, L.W_C + 1]) / car[i, L.MASS]
+        xt = abs(wk[i, L.W_C + 2]) / root
+        yt = abs(wk[i, L.W_C + 4]) / root
+        fastest = max(fastest, wk[i, L.W_C] / car[i, L.MASS] + xy + xt)
+        fastest = max(fastest, xy + wk[i, L.W_C + 3] / car[i, L.MASS] + yt)
+        fastest = max(fastest, xt + yt + wk[i, L.W_C + 5] / car[i, L.INERTIA])
+    return min(h, 0.9 * bound / fastest)
+
+
+@inner_jit
+def implicit_masses(car: F64, wk: F64, factor_h: float) -> None:
+    """Inverse of ``M + factor_h C`` of the stiff cars into ``wk``."""
+    for i in range(wk.shape[0]):
+        if wk[i, L.W_STIFF] == 0.0:
+            continue
+        xx = car[i, L.MASS] + factor_h * wk[i, L.W_C]
+        xy = factor_h * wk[i, L.W_C + 1]
+        xt = factor_h * wk[i, L.W_C + 2]
+        yy = car[i, L.MASS] + factor_h * wk[i, L.W_C + 3]
+        yt = factor_h * wk[i, L.W_C + 4]
+        tt = car[i, L.INERTIA] + factor_h * wk[i, L.W_C + 5]
+        a = yy * tt - yt * yt
+        b = xt * yt - xy * tt
+        c = xy * yt - xt * yy
+        det = xx * a + xy * b + xt * c
+        wk[i, L.W_M] = a / det
+        wk[i, L.W_M + 1] = b / det
+        wk[i, L.W_M + 2] = c / det
+        wk[i, L.W_M + 3] = (xx * tt - xt * xt) / det
+        wk[i, L.W_M + 4] = (xy * xt - xx * yt) / det
+        wk[i, L.W_M + 5] = (xx * yy - xy * xy) / det
+
+
+@inner_jit
+def restore_masses(car: F64, wk: F64) -> None:
+    """Inverse of ``M`` of the stiff cars into ``wk``, to the bit as ``plain_masses`` has it.
+
+    A run that goes on from a saved state begins with those.
+    """
+    for i in range(wk.shape[0]):
+        if wk[i, L.W_STIFF] != 0.0:
+            plain_mass(car, wk, i)
