@@ -178,7 +178,7 @@ def _figure(
             n = 4.0 * np.array([-math.sin(psi), math.cos(psi)])
             axes.plot([x - n[0], x + n[0]], [y - n[1], y + n[1]], color=VERMILION, lw=2, zorder=6)
         state = np.where(scene.free, 2, np.where(scene.derailed, 1, 0))
-        corners = scene.corners()
+        corners = scene.outlines()
         real = scene.represents == 1
         for k, (_, fill, hatch) in enumerate(STATES):
             chosen = real & (state == k)

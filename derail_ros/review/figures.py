@@ -269,7 +269,7 @@ def draw_bodies(
     axes: Axes, scene: Scene, lw: float, zorder: float = 4.0, hatched: bool = True
 ) -> None:
     """The cars by their state; no body that stands for many."""
-    corners = scene.corners()
+    corners = scene.outlines()
     state = _state(scene)
     real = scene.represents == 1
     for k, (_, fill, hatch) in enumerate(STATES):
@@ -289,7 +289,7 @@ def draw_bodies(
 
 def draw_fronts(axes: Axes, scene: Scene) -> None:
     """The front end of each car, dark."""
-    corners = scene.corners()
+    corners = scene.outlines()
     front = corners.copy()
     share = np.minimum(0.7 / scene.length, 0.5)[:, None]
     front[:, 3] = corners[:, 0] + share * (corners[:, 3] - corners[:, 0])
@@ -304,7 +304,7 @@ def _draw_stand_ins(axes: Axes, scene: Scene, lw: float, zorder: float) -> None:
     if many.any():
         axes.add_collection(
             PolyCollection(
-                list(scene.corners()[many]),
+                list(scene.outlines()[many]),
                 facecolors=STAND_IN,
                 edgecolors=FAINT,
                 linestyles="--",

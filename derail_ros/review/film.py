@@ -201,8 +201,8 @@ class _Stage:
     def picture(self, time: float) -> NDArray[np.uint8]:
         """(H, W, 3) the picture at a time."""
         run = self.run
-        scene = scene_at(run, time)
-        corners = scene.corners()
+        scene = run.scene(time)
+        corners = scene.outlines()
         state = figures._state(scene)
         real = run.cars.real
         for k, body in enumerate(self.bodies):

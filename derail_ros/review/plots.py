@@ -211,8 +211,8 @@ def _draw_velocities(axes: Axes, run: RecordedRun, time: float, window: figures.
         ).set_clip_on(True)
 
 
-def _draw_pair(axes: Axes, scene: Any, contact: Collision) -> None:
-    corners = scene.corners()
+def _draw_pair(axes: Axes, scene: Any, contact: Contact) -> None:
+    corners = scene.outlines()
     for car in (contact.car_a, contact.car_b):
         axes.add_patch(
             Polygon(corners[car - 1], closed=True, fill=False, ec=VERMILION, lw=2.2, zorder=9)

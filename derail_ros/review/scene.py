@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from derail_ros.vocabulary.scene import car_corners
+
 if TYPE_CHECKING:
     from derail_ros.vocabulary.outcome import Outcome
     from derail_ros.vocabulary.simulation import Simulation
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
 F64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int = NDArray[np.int64]
+
+OUTLINE = (0, 1, 3, 2)
+"""Corners of a car (``vocabulary.status.CORNERS``) in the order of a polygon."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +90,19 @@ class Scene:
             object.__setattr__(self, "numbers", tuple(range(1, n + 1)))
 
     @property
+    def real(self) -> Bool:
+        """(N,) the body is one car and does not stand for many."""
+        return self.represents == 1
+
+    @property
     def derailed(self) -> Bool:
         """(N,) a truck of the car is off the rails."""
         return ~self.truck_on.all(axis=1)
+
+    @property
+    def state(self) -> Int:
+        """(N,) 0 on the rails, 1 derailed and coupled, 2 derailed and uncoupled."""
+        return np.where(self.free, 2, np.where(self.derailed, 1, 0))
 
     @property
     def free(self) -> Bool:
@@ -100,7 +115,7 @@ class Scene:
     @property
     def travel(self) -> tuple[float, float]:
         """Direction of travel: that of the track where the derailed cars lie (or the train)."""
-        off = self.derailed & (self.represents == 1)
+        off = self.derailed & self.real
         middle = self.pose[off if off.any() else slice(None), :2].mean(axis=0)
         a, b = self.track[:-1], self.track[1:]
         along = b - a
@@ -112,13 +127,19 @@ class Scene:
         return float(x), float(y)
 
     def corners(self) -> F64:
-        """(N, 4, 2) corners of the bodies: front left, front right, rear right, rear left, m."""
-        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
-        along = np.array([1.0, 1.0, -1.0, -1.0]) * 0.5 * self.length[:, None]
-        across = np.array([1.0, -1.0, -1.0, 1.0]) * 0.5 * self.width[:, None]
-        x = self.pose[:, None, 0] + along * c[:, None] - across * s[:, None]
-        y = self.pose[:, None, 1] + along * s[:, None] + across * c[:, None]
-        return np.stack([x, y], axis=-1)
+        """(N, 4, 2) corners of the bodies, m, in the order of ``vocabulary.status.CORNERS``."""
+        return car_corners(self.pose, self.length, self.width)
+
+    def outlines(self) -> F64:
+        """(N, 4, 2) corners of the bodies in the order of a polygon, m."""
+        return self.corners()[:, OUTLINE]
+
+    def fronts(self) -> F64:
+        """(N, 4, 2) outlines of the front 0.7 m of the bodies (half of a shorter one), m."""
+        corners = self.corners()
+        share = np.minimum(0.7 / self.length, 0.5)[:, None, None]
+        ahead, behind = corners[:, :2], corners[:, 2:]
+        return np.concatenate([ahead, ahead + share * (behind - ahead)], axis=1)[:, OUTLINE]
 
     def pivots(self) -> F64:
         """(N, 2, 2) front and rear coupler pivots, m."""

@@ -86,6 +86,11 @@ def test_geometry_of_a_car():
     scene = make_scene(cars(1), pose, np.ones((1, 2)), np.zeros(0), coupler=np.array([[0.0, 0.0]]))
     np.testing.assert_allclose(
         scene.corners()[0],
+        [[8.7, 11.79], [11.3, 11.79], [8.7, -1.79], [11.3, -1.79]],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        scene.outlines()[0],
         [[8.7, 11.79], [11.3, 11.79], [11.3, -1.79], [8.7, -1.79]],
         atol=1e-12,
     )
