@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 
-from derail_ros.review import figures, words
-from derail_ros.review.figures import STYLE, WIDTH
-from derail_ros.review.summary import final_scene, number
-from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.review import drawing
+from derail_ros.review.drawing import WIDTH, styled
+from derail_ros.review.scene import final_scene
+from derail_ros.vocabulary import words
+from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.measures import HEADLINE, MEASURES
+from derail_ros.vocabulary.words import finite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from derail_ros.recording.recorded_run import RecordedRun
+    from derail_ros.vocabulary.events import Event
 
-FORMAT = "derail_ros/comparison"
-VERSION = 1
+SCHEMA = "derail_ros/comparison"
+SCHEMA_VERSION = 2
+"""Version of :func:`compare`; 1 had measures with keys of its own."""
 HAPPENED = (EventKind.TRUCK_DERAILED, EventKind.COUPLER_PARTED, EventKind.RAIL_BREAK_SET)
 """Kinds of events that are compared one by one."""
 SAME = 1e-9
@@ -27,41 +32,22 @@ SAME = 1e-9
 HARD = 1.0e6
 """Collisions from here on are compared, N."""
 
-MEASURES: tuple[tuple[str, str, str, float], ...] = (
-    ("cars_derailed", "cars derailed", "", 1.0),
-    ("duration_s", "duration", "s", 1.0),
-    ("peak_force_N", "largest force", "MN", 1e-6),
-    ("peak_time_s", "  at", "s", 1.0),
-    ("cars_above_5MN", "cars struck above 5 MN", "", 1.0),
-    ("cars_above_10MN", "cars struck above 10 MN", "", 1.0),
-    ("collisions", "collisions", "", 1.0),
-    ("length_m", "scene length", "m", 1.0),
-    ("width_m", "scene width", "m", 1.0),
-    ("area_m2", "scene area", "m²", 1.0),
-    ("rear_stop_m", "first car on the rails behind at", "m", 1.0),
-    ("couplings_parted", "couplings parted", "", 1.0),
-    ("initial_speed_m_s", "speed at the start", "m/s", 1.0),
-)
+OF_RECORDINGS: dict[str, tuple[str, Callable[[RecordedRun], float]]] = {
+    "collisions": ("collisions", lambda run: len(run.collisions)),
+    "couplings_parted": ("couplings parted", lambda run: int((~run.coupled[-1]).sum())),
+    "initial_speed_m_s": ("speed at the start (m/s)", lambda run: run.initial_speed),
+}
+"""What is compared beside the measures of the outcome: key -> words, value."""
 
 
-def measures(run: RecordedRun) -> dict[str, float]:
-    """Measures of a run."""
-    r = run.outcome
-    return {
-        "cars_derailed": float(len(r.derailed_cars)),
-        "duration_s": r.duration,
-        "peak_force_N": r.peak_force,
-        "peak_time_s": r.peak_force_time,
-        "cars_above_5MN": float(len(r.cars_above_5MN)),
-        "cars_above_10MN": float(len(r.cars_above_10MN)),
-        "collisions": float(len(run.collisions)),
-        "length_m": r.scene_length,
-        "width_m": r.scene_width,
-        "area_m2": r.scene_area,
-        "rear_stop_m": r.rear_part_coordinate,
-        "couplings_parted": float((~run.coupled[-1]).sum()),
-        "initial_speed_m_s": run.initial_speed,
+def measures(run: RecordedRun) -> dict[str, float | None]:
+    """Measures of a run as numbers, None where one does not exist."""
+    found = {
+        key: m.number(m.value(run.outcome))
+        for key, m in MEASURES.items()
+        if m.numeric and key != "derailed_cars"  # they are told one by one
     }
+    return found | {key: finite(of(run)) for key, (_, of) in OF_RECORDINGS.items()}
 
 
 def _key(e: Event) -> tuple[Any, ...]:
@@ -101,8 +87,8 @@ def compare(a: RecordedRun, b: RecordedRun) -> dict[str, Any]:
     )
     derailed_a, derailed_b = set(a.outcome.derailed_cars), set(b.outcome.derailed_cars)
     return {
-        "format": FORMAT,
-        "version": VERSION,
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
         "first": _about(a),
         "second": _about(b),
         "same_scenario": a.scenario_hash == b.scenario_hash,
@@ -110,11 +96,11 @@ def compare(a: RecordedRun, b: RecordedRun) -> dict[str, Any]:
         "settings": settings(a.scenario, b.scenario),
         "measures": {
             key: {
-                "first": number(ma[key]),
-                "second": number(mb[key]),
-                "difference": number(mb[key] - ma[key]),
+                "first": ma[key],
+                "second": mb[key],
+                "difference": None if None in (ma[key], mb[key]) else mb[key] - ma[key],
             }
-            for key, *_ in MEASURES
+            for key in ma
         },
         "derailed_only_in_first": sorted(derailed_a - derailed_b),
         "derailed_only_in_second": sorted(derailed_b - derailed_a),
@@ -142,7 +128,7 @@ def _sequence(run: RecordedRun) -> list[tuple[Any, ...]]:
     return [
         (e.time, e.kind, e.cars, e.end, e.cause, repr(e.value))
         for e in run.events
-        if not e.kind.word.startswith("run_")
+        if not e.kind.name.startswith("RUN_")
     ]
 
 
@@ -155,13 +141,14 @@ def _about(run: RecordedRun) -> dict[str, Any]:
         "hash": run.scenario_hash,
         "status": run.outcome.status,
         "bodies": run.n,
-        "outcome": words.sentence(run),
+        "outcome": run.outcome.text,
         "warnings": list(run.warnings),
     }
 
 
 def _event(e: Event) -> dict[str, Any]:
-    return {"time_s": e.time, "kind": e.kind.word, "cars": list(e.cars), "text": e.text}
+    kind = e.kind.word
+    return {"time_s": e.time, "kind": kind, "cars": list(e.cars), "text": e.text}
 
 
 def settings(a: Any, b: Any, path: str = "") -> list[dict[str, Any]]:
@@ -190,51 +177,58 @@ def text(facts: dict[str, Any], most: int = 12) -> str:
         lines += ["The events of both are the same to the bit.", ""]
     elif facts["first_difference_s"] is not None:
         lines += [f"The events differ from {facts['first_difference_s']:.3f} s on.", ""]
-    lines.append(f"  {'':<26}{'A':>12}{'B':>12}{'B - A':>12}")
-    for key, label, unit, factor in MEASURES:
-        row = facts["measures"][key]
-        cells = [_number(row[k], factor) for k in ("first", "second")]
-        change = _number(row["difference"], factor, sign=True)
-        name = f"{label}{', ' + unit if unit else ''}"
-        lines.append(f"  {name:<26}{cells[0]:>12}{cells[1]:>12}{change:>12}")
+    lines += _table(facts["measures"])
     for which, name in (("first", "A"), ("second", "B")):
         cars = facts[f"derailed_only_in_{which}"]
         if cars:
             lines.append(f"  derailed only in {name}: {words.cars(cars)}")
+
+    def section(title: str, rows: list[str], head: str = "") -> None:
+        if rows:
+            lines.extend(["", title, *filter(None, [head]), *rows[:most]])
+            if len(rows) > most:
+                lines.append(f"  and {len(rows) - most} more")
+
     rows = facts["settings"]
-    if rows:
-        lines += ["", f"Settings that differ: {len(rows)}"]
-        lines += [
-            f"  {r['path']}: {_short(r['first'])} | {_short(r['second'])}" for r in rows[:most]
-        ]
-        lines += _more(len(rows), most)
+    section(
+        f"Settings that differ: {len(rows)}",
+        [f"  {r['path']}: {_short(r['first'])} | {_short(r['second'])}" for r in rows],
+    )
     for which, name in (("first", "A"), ("second", "B")):
         rows = facts[f"events_only_in_{which}"]
-        if rows:
-            lines += ["", f"Only in {name}: {len(rows)}"]
-            lines += [f"  {r['time_s']:8.2f} s  {r['text']}" for r in rows[:most]]
-            lines += _more(len(rows), most)
+        section(
+            f"Only in {name}: {len(rows)}", [f"  {r['time_s']:8.2f} s  {r['text']}" for r in rows]
+        )
     rows = facts["events_at_other_times"]
-    if rows:
-        lines += ["", f"In both, at other times: {len(rows)} of {facts['events_shared']}"]
-        lines += [
-            f"  {r['first_s']:8.2f} s  {r['difference_s']:+8.3f} s  {r['text']}"
-            for r in rows[:most]
-        ]
-        lines += _more(len(rows), most)
-    rows = facts["collisions"]
-    if rows and not facts["same_events"]:
-        lines += ["", "Largest force between two cars", f"  {'cars':<12}{'A':>10}{'B':>10}"]
-        for r in rows[:most]:
-            pair = f"{r['cars'][0]} and {r['cars'][1]}"
-            cells = [words.force(r[k]) if r[k] else "-" for k in ("first_N", "second_N")]
-            lines.append(f"  {pair:<12}{cells[0]:>10}{cells[1]:>10}")
-        lines += _more(len(rows), most)
+    section(
+        f"In both, at other times: {len(rows)} of {facts['events_shared']}",
+        [f"  {r['first_s']:8.2f} s  {r['difference_s']:+8.3f} s  {r['text']}" for r in rows],
+    )
+    rows = [] if facts["same_events"] else facts["collisions"]
+    pairs = []
+    for r in rows:
+        cells = [words.force(r[k]) if r[k] else "-" for k in ("first_N", "second_N")]
+        pair = "{} and {}".format(*r["cars"])
+        pairs.append(f"  {pair:<12}{cells[0]:>10}{cells[1]:>10}")
+    section("Largest force between two cars", pairs, f"  {'cars':<12}{'A':>10}{'B':>10}")
     return "\n".join(lines) + "\n"
 
 
-def _more(count: int, most: int) -> list[str]:
-    return [f"  and {count - most} more"] if count > most else []
+def _table(rows: dict[str, dict[str, float | None]]) -> list[str]:
+    """The measures that one of the two has, side by side."""
+    lines = [f"  {'':<34}{'A':>12}{'B':>12}{'B - A':>12}"]
+    for key, row in rows.items():
+        a, b, change = row["first"], row["second"], row["difference"]
+        if a is b is None or (key in MEASURES and MEASURES[key].group != HEADLINE):
+            continue
+        if key in MEASURES:
+            m = MEASURES[key]
+            title, cells = m.title, [m.shown(v) for v in (a, b, change)]
+        else:
+            title, cells = OF_RECORDINGS[key][0], [f"{v:g}" for v in (a, b, change)]
+        sign = "+" if change is not None and change > 0.0 else ""
+        lines.append(f"  {title:<34}{cells[0]:>12}{cells[1]:>12}{sign + cells[2]:>12}")
+    return lines
 
 
 def _short(value: Any) -> str:
@@ -242,66 +236,42 @@ def _short(value: Any) -> str:
     return line if len(line) <= 40 else line[:37] + "..."
 
 
-def _number(value: float | None, factor: float, sign: bool = False) -> str:
-    if value is None:
-        return "-"
-    scaled = value * factor
-    if scaled == round(scaled) and abs(scaled) < 1e6:
-        return f"{scaled:+.0f}" if sign else f"{scaled:.0f}"
-    return f"{scaled:+.2f}" if sign else f"{scaled:.2f}"
-
-
 # --- scenes ----------------------------------------------------------------------------------
 
 
+@styled
 def scenes(a: RecordedRun, b: RecordedRun) -> Figure:
     """Draw both scenes at the end, one above the other, to the same scale and place."""
-    with matplotlib.rc_context(STYLE):
-        return _scenes(a, b)
-
-
-def _scenes(a: RecordedRun, b: RecordedRun) -> Figure:
     drawn = [final_scene(run) for run in (a, b)]
-    windows = np.array([figures._pile_up(scene) for scene in drawn])
-    window = (
-        float(windows[:, 0].min()),
-        float(windows[:, 1].max()),
-        float(windows[:, 2].min()),
-        float(windows[:, 3].max()),
-    )
+    windows = np.array([drawing.site(scene) for scene in drawn])
+    low, high = windows.min(axis=0), windows.max(axis=0)
+    window = (float(low[0]), float(high[1]), float(low[2]), float(high[3]))
     inner = WIDTH - 1.0
     aspect = (window[3] - window[2]) / (window[1] - window[0])
     tall = float(np.clip(inner * aspect, 2.6, 5.6))
-    window = figures._fit(window, tall / inner)
-    top, head, legend = 0.55, 0.62, 0.5
-    height = top + 2.0 * (tall + head) + legend
-    figure = figures._figure(height)
-    left = 0.5 / WIDTH
-    figures._headline(figure, left, 1.0 - 0.3 / height, "Two runs, to the same scale", 80)
+    window = drawing.fit(window, tall / inner)
+    top, head, key = 0.55, 0.62, 0.5
+    height = top + 2.0 * (tall + head) + key
+    figure = drawing.sheet(WIDTH, height)
+    drawing.heading(figure, "Two runs, to the same scale")
     points = inner * 72.0 / (window[1] - window[0])
     for k, (name, run, scene) in enumerate(zip("AB", (a, b), drawn)):
-        bottom = height - top - (k + 1) * (tall + head)
-        axes = figure.add_axes((left, bottom / height, inner / WIDTH, tall / height))
-        figures._prepare(axes, window)
-        figures._draw_track(axes, scene, window, points)
-        figures._draw_cars(axes, scene, window, points)
-        figures._draw_box(axes, scene)
-        over = (bottom + tall) / height
-        title = f"{name}   {run.title}"
-        figure.text(left, over + 0.3 / height, title, size=11, weight="bold", va="center")
-        figure.text(
-            left, over + 0.11 / height, scene.subtitle, size=9, color="#555555", va="center"
-        )
+        upper = top + head + k * (tall + head)
+        axes = drawing.place(figure, 0.5, upper, inner, tall)
+        drawing.show(axes, window)
+        drawing.draw_track(axes, scene, window, points)
+        drawing.draw_cars(axes, scene, window, points)
+        drawing.draw_box(axes, scene)
+        look = {"size": 11, "weight": "bold", "color": drawing.INK}
+        drawing.put(figure, 0.5, upper - 0.3, f"{name}   {run.title}", **look)
+        drawing.put(figure, 0.5, upper - 0.11, scene.subtitle, size=9)
     ways = [scene.travel for scene in drawn]
     same = math.isclose(math.dist(*ways), 0.0, abs_tol=0.1)
-    figures._draw_scale(figure, height, window, ways[0] if same else None)
+    drawing.draw_scale(figure, window, ways[0] if same else None)
     if not same:  # each its own, over the picture and clear of the cars
-        page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        page.set_axis_off()
-        page.set_xlim(0.0, WIDTH)
-        page.set_ylim(0.0, height)
+        page = drawing.inches(figure)
         for k, way in enumerate(ways):
             level = height - top - k * (tall + head) - 0.5 * head
-            figures._draw_travel(page, (WIDTH - 0.85, level), way)
-    figures._draw_key(figure, drawn, left, (legend - 0.1) / height, window)
+            drawing.draw_travel(page, (WIDTH - 0.85, level), way)
+    drawing.draw_key(figure, drawn, 0.5, height - key + 0.1, window)
     return figure

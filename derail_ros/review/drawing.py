@@ -19,6 +19,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from derail_ros.vocabulary.status import CERTAIN_RUPTURE_FORCE, RUPTURE_FORCE
@@ -115,11 +116,11 @@ def inches(figure: Figure) -> Axes:
     return axes
 
 
-def put(figure: Figure, left: float, top: float, text: str, **look: Any) -> None:
+def put(figure: Figure, left: float, top: float, text: str, **look: Any) -> Text:
     """A text whose middle is ``top`` below the upper edge of the figure, inches."""
     width, height = figure.get_size_inches()
     look = {"va": "center", "size": 9.5, "color": SUBTLE} | look
-    figure.text(left / width, 1.0 - top / height, text, **look)
+    return figure.text(left / width, 1.0 - top / height, text, **look)
 
 
 def heading(figure: Figure, title: str, note: str = "", left: float = 0.5, fits: int = 80) -> None:
@@ -201,6 +202,28 @@ def fit(window: Window, aspect: float) -> Window:
 def within(window: Window, x: float, y: float) -> bool:
     """A place lies in a window."""
     return window[0] < x < window[1] and window[2] < y < window[3]
+
+
+def site(scene: Scene, margin: float = 7.0, reach: float = 40.0, cars: int = 8) -> Window:
+    """Window around the derailed cars, the breaks near them and the front half of the next car.
+
+    Parameters
+    ----------
+    margin, reach : around the cars, and how far a break may be from them, m
+    cars : how many of the first cars are shown if none derailed
+    """
+    shown = scene.derailed & scene.real
+    if not shown.any():
+        shown = scene.real & (np.arange(len(shown)) < cars)
+    corners = scene.corners()
+    points = corners[shown].reshape(-1, 2)
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    places = scene.breaks[:, :2]
+    near = places[((places > low) & (places < high)).all(axis=1)]
+    k = int(np.flatnonzero(shown)[-1]) + 1
+    if k < len(shown) and scene.real[k]:
+        points = np.concatenate([points, corners[k, :2], scene.pose[k : k + 1, :2]])
+    return window_of(np.concatenate([points, near]), margin)
 
 
 def show(axes: Axes, window: Window) -> None:
@@ -337,6 +360,13 @@ def draw_fronts(axes: Axes, scene: Scene) -> PolyCollection:
     """The front end of each car, dark."""
     fronts = list(scene.fronts()[scene.real])
     return axes.add_collection(PolyCollection(fronts, facecolors=INK, zorder=4.5))
+
+
+def move(bodies: Sequence[PolyCollection], fronts: PolyCollection, scene: Scene) -> None:
+    """Move cars that :func:`draw_bodies` and :func:`draw_fronts` have drawn."""
+    for k, body in enumerate(bodies):
+        body.set_verts(list(scene.outlines()[scene.real & (scene.state == k)]))
+    fronts.set_verts(list(scene.fronts()[scene.real]))
 
 
 def draw_stand_ins(axes: Axes, scene: Scene, lw: float, zorder: float) -> None:

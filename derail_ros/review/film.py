@@ -1,42 +1,93 @@
-"""A film of a run, seen from above: MP4 with imageio-ffmpeg, GIF with Pillow."""
+"""A film of a run, seen from above: MP4 with ffmpeg, GIF with Pillow."""
 
 from __future__ import annotations
 
 import math
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.animation import FFMpegWriter
 from matplotlib.patheffects import withStroke
+from PIL import Image
 
-from derail_ros.review import figures, words
-from derail_ros.review.figures import INK, STATES, STYLE, VERMILION
+from derail_ros.review import drawing
+from derail_ros.review.drawing import INK, STYLE, VERMILION
 from derail_ros.review.replay_page import site
-from derail_ros.review.run_scene import scene_at
-from derail_ros.vocabulary.events import Collision
+from derail_ros.review.scene import final_scene, scene_at
+from derail_ros.review.summary import NOTABLE
+from derail_ros.vocabulary import words
+from derail_ros.vocabulary.outcome import derailed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from derail_ros.recording.recorded_run import RecordedRun
+    from derail_ros.vocabulary.events import Collision
 
-KINDS = (".mp4", ".gif")
+
+@dataclass(frozen=True)
+class Kind:
+    """Defaults of a kind of film.
+
+    Attributes
+    ----------
+    fps : pictures per second of the film
+    rate : recorded time per time of the film
+    width : pixels
+    """
+
+    fps: int
+    rate: float
+    width: int
+
+
+KINDS = {".mp4": Kind(20, 1.0, 960), ".gif": Kind(8, 2.0, 640)}
+"""Kinds of films by their suffix. A GIF of half a minute stays below 2 MB."""
 DPI = 100
 MOST = 20_000
 """No film has more pictures than this."""
+COLOURS = 48
+"""Of a GIF."""
 MARKED = 1.0
 """How long a collision stays marked, s of recorded time."""
 
 
 class FilmError(ValueError):
     """A film cannot be made as asked."""
+
+
+def kind_of(path: Path) -> Kind:
+    """The kind of a film by its name.
+
+    Raises
+    ------
+    FilmError
+        If there is no such kind, or ffmpeg is missing for it.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in KINDS:
+        raise FilmError(f"{path}: the name of a film must end in {' or '.join(KINDS)}")
+    if suffix == ".mp4":
+        _ffmpeg()
+    return KINDS[suffix]
+
+
+def _ffmpeg() -> str:
+    """Path of ffmpeg."""
+    try:
+        import imageio_ffmpeg
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        if found := shutil.which("ffmpeg"):
+            return found
+    raise FilmError("MP4 needs ffmpeg: pip install 'derail_ros[video]'; or choose a .gif")
 
 
 def times(
@@ -50,7 +101,7 @@ def times(
         If there is none of them, or far too many.
     """
     if not math.isfinite(rate) or rate <= 0.0:
-        raise FilmError(f"rate: must be above zero, not {rate:g}")
+        raise FilmError(f"rate: must be above zero, got {rate:g}")
     first, last = float(run.time[0]), float(run.time[-1])
     low = first if start is None else max(first, start)
     high = last if end is None else min(last, end)
@@ -58,164 +109,87 @@ def times(
         raise FilmError(f"no time to show: the recording runs from {first:g} s to {last:g} s")
     count = (high - low) / rate * fps
     if count > MOST:
-        raise FilmError(f"{count:.0f} pictures are too many: a higher rate or fewer a second")
+        raise FilmError(
+            f"{count:.0f} pictures are too many; choose a higher rate or fewer pictures a second"
+        )
     return np.append(np.arange(low, high, rate / fps), high)
 
 
-class _Stage:
-    """A figure whose cars are moved from picture to picture."""
+class Stage:
+    """A figure whose cars are moved from picture to picture.
+
+    Parameters
+    ----------
+    run : what is shown
+    width : pixels
+    """
 
     def __init__(self, run: RecordedRun, width: int) -> None:
         self.run = run
-        window = tuple(site(run))
+        scene = final_scene(run)
+        window = site(scene)
         aspect = float(np.clip((window[3] - window[2]) / (window[1] - window[0]), 0.3, 0.62))
-        inches = width / DPI
+        inches = 2 * round(width / 2) / DPI
         # Even numbers of pixels, which video wants.
         tall = 2 * round(width * aspect / 2) / DPI
         head = 2 * round(0.075 * width / 2) / DPI
-        self.window = figures._fit(window, tall / inches)  # type: ignore[arg-type]
-        self.figure = Figure(figsize=(inches, tall + head), dpi=DPI, facecolor="white")
-        FigureCanvasAgg(self.figure)
-        scale = width / 960
-        self.axes = self.figure.add_axes((0.0, 0.0, 1.0, tall / (tall + head)))
-        figures._prepare(self.axes, self.window)
-        points = inches * 72.0 / (self.window[1] - self.window[0])
-        scene = scene_at(run, float(run.time[-1]))
-        figures._draw_track(self.axes, scene, self.window, points)
-        share = head / (tall + head)
-        self.clock = self.figure.text(
-            0.012, 1.0 - 0.32 * share, "", size=13 * scale, weight="bold", va="center"
+        self.window = x0, x1, y0, y1 = drawing.fit(window, tall / inches)
+        self.figure = drawing.sheet(inches, tall + head, dpi=DPI)
+        scale = max(width / 960, min(0.75, width / 853))  # of texts, larger in small films
+        points = inches * 72.0 / (x1 - x0)
+        self.axes = axes = drawing.place(self.figure, 0.0, head, inches, tall)
+        drawing.show(axes, self.window)
+        drawing.draw_track(axes, scene, self.window, points)
+
+        def put(left: float, top: float, text: str = "", **look: Any) -> Any:
+            return drawing.put(self.figure, left * inches, top * head, text, **look)
+
+        self.clock = put(0.012, 0.32, size=13 * scale, weight="bold", color=INK)
+        self.facts = put(0.012, 0.76, size=9 * scale)
+        title = min(10.0, 620.0 / max(len(run.title), 1)) * scale
+        put(0.988, 0.32, run.title, size=title, ha="right", color=INK)
+        self.figure.legend(
+            handles=drawing.state_handles(),
+            loc="center right",
+            bbox_to_anchor=(0.988, 1.0 - 0.76 * head / (tall + head)),
+            ncol=3,
+            **(drawing.LEGEND | {"fontsize": 8.0 * scale, "handleheight": 0.7}),
         )
-        self.facts = self.figure.text(
-            0.012, 1.0 - 0.76 * share, "", size=9 * scale, color="#555555", va="center"
-        )
-        self.figure.text(
-            0.988,
-            1.0 - 0.32 * share,
-            run.title,
-            size=min(10.0, 620.0 / max(len(run.title), 1)) * scale,
-            ha="right",
-            va="center",
-        )
-        self._scale_bar(scale)
-        self._key(1.0 - 0.76 * share, scale)
-        self._travel(scene.travel, scale)
-        self.bodies = [
-            self.axes.add_collection(
-                PolyCollection(
-                    [], facecolors=fill, edgecolors=INK, lw=0.8, hatch=hatch or None, zorder=4
-                )
-            )
-            for _, fill, hatch in STATES
-        ]
-        self.noses = self.axes.add_collection(PolyCollection([], facecolors=INK, zorder=4.5))
+        drawing.scale_inside(axes, self.window, 0.15, scale)
+        wide = x1 - x0
+        corner = np.array([x1 - 0.04 * wide, y1 - 0.035 * wide])
+        drawing.draw_direction(axes, corner, scene.travel, 0.022 * wide, 1.4 * scale)
+        look: dict[str, Any] = {"ha": "right", "size": 8.5 * scale}
+        drawing.label(axes, drawing.TRAVEL, corner - [0.032 * wide, 0.0], **look)
+        self.bodies = drawing.draw_bodies(axes, scene, 0.8)
+        self.fronts = drawing.draw_fronts(axes, scene)
         # Never smaller than can be read: where there are too many, some are left out.
-        size = max(float(np.clip(1.4 * points, 0.0, 9.0)), 7.5) * scale
+        size = max(float(np.clip(1.4 * points, 0.0, 9.0)) * scale, 7.5)
         self.room = (1.5 * size / points, 1.1 * size / points)
+        outline = [withStroke(linewidth=2.0 * scale, foreground="white")]
+        look = {"size": size, "weight": "bold", "ha": "center", "va": "center_baseline"}
+        look |= {"zorder": 10, "clip_on": True, "path_effects": outline}
         self.numbers = [
-            self.axes.text(
-                0.0,
-                0.0,
-                str(i + 1) if run.cars.represents[i] == 1 else "",
-                size=size,
-                weight="bold",
-                ha="center",
-                va="center_baseline",
-                zorder=10,
-                clip_on=True,
-                path_effects=[withStroke(linewidth=2.0 * scale, foreground="white")],
-            )
-            for i in range(run.n)
+            axes.text(0.0, 0.0, str(i + 1) if real else "", **look)
+            for i, real in enumerate(run.cars.real)
         ]
-        (self.stars,) = self.axes.plot(
-            [], [], ls="", marker="*", ms=17 * scale, mfc=VERMILION, mec="white", zorder=12
-        )
+        star: dict[str, Any] = {"ls": "", "marker": "*", "mfc": VERMILION, "mec": "white"}
+        (self.stars,) = axes.plot([], [], ms=17 * scale, zorder=12, **star)
+        look = {"size": 9.5 * scale, "weight": "bold", "color": VERMILION, "va": "bottom"}
         self.forces = [
-            self.axes.text(
-                0.0,
-                0.0,
-                "",
-                size=9.5 * scale,
-                weight="bold",
-                color=VERMILION,
-                ha="center",
-                va="bottom",
-                zorder=13,
-                bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
-                clip_on=True,
-            )
+            drawing.label(axes, "", (0.0, 0.0), (0, 9 * scale), zorder=13, **look)
             for _ in range(4)
         ]
 
-    def _key(self, level: float, scale: float) -> None:
-        """What colours and hatches say."""
-        self.figure.legend(
-            handles=[
-                Patch(fc=fill, ec=INK, hatch=hatch or None, lw=0.8, label=label)
-                for label, fill, hatch in STATES
-            ],
-            loc="center right",
-            bbox_to_anchor=(0.988, level),
-            bbox_transform=self.figure.transFigure,
-            ncol=len(STATES),
-            frameon=False,
-            fontsize=8.0 * scale,
-            handlelength=1.8,
-            columnspacing=1.2,
-            borderaxespad=0.0,
-            borderpad=0.0,
-        )
-
-    def _travel(self, travel: tuple[float, float], scale: float) -> None:
-        """The direction of travel, in the corner over the scale bar's."""
-        wide = self.window[1] - self.window[0]
-        place = (self.window[1] - 0.04 * wide, self.window[3] - 0.035 * wide)
-        figures._draw_arrow(self.axes, place, travel, 0.022 * wide, 1.4 * scale)
-        self.axes.text(
-            place[0] - 0.032 * wide,
-            place[1],
-            figures.TRAVEL,
-            size=8.5 * scale,
-            ha="right",
-            va="center",
-            zorder=13,
-            bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
-        )
-
-    def _scale_bar(self, scale: float) -> None:
-        wide = self.window[1] - self.window[0]
-        bar = figures._nice(0.15 * wide)
-        x, y = self.window[1] - 0.02 * wide, self.window[2] + 0.025 * wide
-        self.axes.add_line(
-            Line2D([x - bar, x], [y, y], color=INK, lw=2.5 * scale, solid_capstyle="butt")
-        )
-        self.axes.text(
-            x - 0.5 * bar,
-            y + 0.006 * wide,
-            f"{bar:g} m",
-            ha="center",
-            va="bottom",
-            size=8.5 * scale,
-        )
-
-    def picture(self, time: float) -> NDArray[np.uint8]:
-        """(H, W, 3) the picture at a time."""
+    def show(self, time: float) -> None:
+        """Show a time (s)."""
         run = self.run
         scene = scene_at(run, time)
-        corners = scene.outlines()
-        state = figures._state(scene)
-        real = run.cars.real
-        for k, body in enumerate(self.bodies):
-            body.set_verts(list(corners[(state == k) & real]))
-        nose = corners.copy()
-        share = np.minimum(0.7 / run.cars.length, 0.5)[:, None]
-        nose[:, 3] = corners[:, 0] + share * (corners[:, 3] - corners[:, 0])
-        nose[:, 2] = corners[:, 1] + share * (corners[:, 2] - corners[:, 1])
-        self.noses.set_verts(list(nose[real]))
-        x0, x1, y0, y1 = self.window
+        x0, x1, _, _ = self.window
+        drawing.move(self.bodies, self.fronts, scene)
         shown: list[tuple[float, float]] = []
         for text, (x, y) in zip(self.numbers, scene.pose[:, :2]):
-            inside = bool(x0 < x < x1 and y0 < y < y1 and text.get_text())
+            inside = drawing.within(self.window, x, y) and bool(text.get_text())
             free = all(abs(x - a) > self.room[0] or abs(y - b) > self.room[1] for a, b in shown)
             text.set_visible(inside and free)
             text.set_position((x, y))
@@ -225,7 +199,7 @@ class _Stage:
             (
                 c
                 for c in run.collisions
-                if c.peak_force >= 1e6 and c.peak_time <= time < c.peak_time + MARKED
+                if c.peak_force >= NOTABLE and c.peak_time <= time < c.peak_time + MARKED
             ),
             key=lambda c: -c.peak_force,
         )
@@ -238,61 +212,53 @@ class _Stage:
             if clear and len(told) < len(self.forces):
                 told.append(c)
         self.stars.set_data([c.x for c in recent], [c.y for c in recent])
-        lift = 0.018 * (x1 - x0)
         for k, text in enumerate(self.forces):
             text.set_visible(k < len(told))
             if k < len(told):
                 text.set_text(words.force(told[k].peak_force))
-                text.set_position((told[k].x, told[k].y + lift))
+                text.xy = (told[k].x, told[k].y)
         self.clock.set_text(f"{time:.2f} s")
+        line = derailed(int((scene.derailed & scene.real).sum()))
         hardest = float(scene.peak_force.max(initial=0.0))
-        line = words.derailed(int((scene.derailed & real).sum()))
         if hardest > 0.0:
             line += f", largest force {words.force(hardest)}"
         self.facts.set_text(line)
+
+    def picture(self, time: float) -> Image.Image:
+        """The picture at a time (s)."""
+        self.show(time)
         canvas: Any = self.figure.canvas
         canvas.draw()
-        return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
-
-
-def pictures(
-    run: RecordedRun, moments: NDArray[np.float64], width: int
-) -> Iterator[NDArray[np.uint8]]:
-    """The pictures of a film."""
-    with matplotlib.rc_context(STYLE | {"path.simplify": True}):
-        stage = _Stage(run, 2 * round(width / 2))
-        for moment in moments:
-            yield stage.picture(float(moment))
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
 def film(
     run: RecordedRun,
     path: Path,
-    fps: int = 20,
-    rate: float = 1.0,
-    width: int = 960,
+    fps: int | None = None,
+    rate: float | None = None,
+    width: int | None = None,
     start: float | None = None,
     end: float | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
     """Make a film; returns its number of pictures.
 
+    Parameters
+    ----------
+    run, path : what is shown, and the file; its suffix is the kind of film
+    fps, rate, width : see :class:`Kind`; by default those of :data:`KINDS`
+    start, end : recorded time that is shown, s
+    progress : called with the number of pictures that are done, and of all
+
     Raises
     ------
     FilmError
         If the kind of file or the time asked for cannot be, or the file cannot be written.
-    ImportError
-        If imageio-ffmpeg, which MP4 needs, is not installed.
     """
-    if path.suffix.lower() not in KINDS:
-        raise FilmError(f"{path}: a film ends in {' or '.join(KINDS)}")
-    moments = times(run, fps, rate, start, end)
-
-    def counted() -> Iterator[NDArray[np.uint8]]:
-        for k, picture in enumerate(pictures(run, moments, width), 1):
-            yield picture
-            progress(k, len(moments))
-
+    kind = kind_of(path)
+    fps = kind.fps if fps is None else fps
+    moments = times(run, fps, kind.rate if rate is None else rate, start, end)
     if path.is_dir():
         raise FilmError(f"{path}: is a folder")
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
@@ -300,47 +266,47 @@ def film(
         temporary.touch()  # before the work, not after it
     except OSError as error:
         raise FilmError(f"{path}: cannot be written: {error.strerror}") from None
-    progress(0, len(moments))
+
+    def counted() -> Iterator[float]:
+        for k, moment in enumerate(moments.tolist()):
+            progress(k, len(moments))
+            yield moment
+        progress(len(moments), len(moments))
+
+    write = _gif if path.suffix.lower() == ".gif" else _mp4
     try:
-        (_mp4 if path.suffix.lower() == ".mp4" else _gif)(counted(), temporary, fps)
+        with matplotlib.rc_context(STYLE | {"path.simplify": True}):
+            write(Stage(run, width or kind.width), counted(), temporary, fps)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
     return len(moments)
 
 
-def _mp4(frames: Iterator[NDArray[np.uint8]], path: Path, fps: int) -> None:
-    import imageio_ffmpeg
-
-    writer: Any = None
+def _mp4(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:
+    matplotlib.rcParams["animation.ffmpeg_path"] = _ffmpeg()
+    writer = FFMpegWriter(fps=fps, codec="h264", extra_args=["-crf", "23"])
     try:
-        for frame in frames:
-            if writer is None:
-                size = (frame.shape[1], frame.shape[0])
-                writer = imageio_ffmpeg.write_frames(
-                    str(path), size, fps=fps, macro_block_size=2, quality=7
-                )
-                writer.send(None)
-            writer.send(frame)
-    except OSError as error:  # with all that ffmpeg has to say, on many lines
+        with writer.saving(stage.figure, str(path), DPI):
+            for moment in moments:
+                stage.show(moment)
+                writer.grab_frame()
+    except subprocess.CalledProcessError as error:
+        said = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+        raise FilmError(f"{path}: ffmpeg: {said[-1] if said else error}") from None
+    except OSError as error:
         raise FilmError(f"{path}: ffmpeg: {str(error).splitlines()[0]}") from None
-    finally:
-        if writer is not None:
-            writer.close()
 
 
-def _gif(frames: Iterator[NDArray[np.uint8]], path: Path, fps: int) -> None:
-    from PIL import Image
-
-    first = Image.fromarray(next(frames))
-    # One palette for all pictures, from one that has all colours, keeps the film from shimmering.
-    palette = first.quantize(64, dither=Image.Dither.NONE)
-    rest = (Image.fromarray(frame).quantize(64, dither=Image.Dither.NONE) for frame in frames)
-    palette.save(
-        path,
-        save_all=True,
-        append_images=rest,
-        duration=round(1000 / fps),
-        loop=0,
-        optimize=False,
+def _gif(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:
+    # Pillow itself and not matplotlib's PillowWriter, which keeps all pictures in memory and
+    # gives each its own colours: the film shimmers and is larger.
+    peak = stage.run.outcome.peak_force_time
+    palette = stage.picture(peak if math.isfinite(peak) else math.inf).quantize(COLOURS)
+    pictures = (
+        stage.picture(moment).quantize(palette=palette, dither=Image.Dither.NONE)
+        for moment in moments
     )
+    first = next(pictures)
+    more = {"duration": round(1000 / fps), "loop": 0, "optimize": False}
+    first.save(path, save_all=True, append_images=pictures, **more)

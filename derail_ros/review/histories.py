@@ -9,100 +9,55 @@ recording is read, so a long recording needs no more memory than a short one.
 from __future__ import annotations
 
 import csv
+import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from derail_ros.recording.decoding import decode
+from derail_ros.recording.decoding import PACKAGE, decode
 from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.recording.storage import BagError, open_bag
 from derail_ros.review.summary import by_severity
+from derail_ros.vocabulary.status import CORNERS
+from msg_adapters.definitions import read_copy
 
 FORMATS = ("csv", "parquet")
 
-STATE_COLUMNS: tuple[tuple[str, str], ...] = (
-    ("x", "x_m"),
-    ("y", "y_m"),
-    ("z", "z_m"),
-    ("roll", "roll_rad"),
-    ("pitch", "pitch_rad"),
-    ("yaw", "yaw_rad"),
-    ("coupler_angle_front", "coupler_angle_front_rad"),
-    ("coupler_angle_rear", "coupler_angle_rear_rad"),
-    ("vx", "vx_m_s"),
-    ("vy", "vy_m_s"),
-    ("vz", "vz_m_s"),
-    ("roll_rate", "roll_rate_rad_s"),
-    ("pitch_rate", "pitch_rate_rad_s"),
-    ("yaw_rate", "yaw_rate_rad_s"),
-    ("coupler_rate_front", "coupler_rate_front_rad_s"),
-    ("coupler_rate_rear", "coupler_rate_rear_rad_s"),
-    ("ax", "ax_m_s2"),
-    ("ay", "ay_m_s2"),
-    ("az", "az_m_s2"),
-    ("roll_acceleration", "roll_acceleration_rad_s2"),
-    ("pitch_acceleration", "pitch_acceleration_rad_s2"),
-    ("yaw_acceleration", "yaw_acceleration_rad_s2"),
-    ("coupler_acceleration_front", "coupler_acceleration_front_rad_s2"),
-    ("coupler_acceleration_rear", "coupler_acceleration_rear_rad_s2"),
-    ("truck_status_front", "truck_front_on_rails"),
-    ("truck_status_rear", "truck_rear_on_rails"),
-    ("track_coordinate_front", "track_coordinate_front_m"),
-    ("track_coordinate_rear", "track_coordinate_rear_m"),
-    ("rail_force_front", "rail_force_front_N"),
-    ("rail_force_rear", "rail_force_rear_N"),
-    ("brake_force", "brake_force_N"),
-    ("ground_force_front_x", "ground_force_front_x_N"),
-    ("ground_force_front_y", "ground_force_front_y_N"),
-    ("ground_force_rear_x", "ground_force_rear_x_N"),
-    ("ground_force_rear_y", "ground_force_rear_y_N"),
-    ("ground_force_body_x", "ground_force_body_x_N"),
-    ("ground_force_body_y", "ground_force_body_y_N"),
-    ("ground_moment", "ground_moment_N_m"),
-    ("collision_force_x", "collision_force_x_N"),
-    ("collision_force_y", "collision_force_y_N"),
-    ("collision_moment", "collision_moment_N_m"),
-    ("largest_corner_force", "largest_corner_force_N"),
-    ("external_force_x", "external_force_x_N"),
-    ("external_force_y", "external_force_y_N"),
-    ("external_moment", "external_moment_N_m"),
-)
-"""Field of ``derail_msgs/TrainState`` and name of its column."""
-
-CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
-CORNER_COLUMNS: tuple[tuple[str, str], ...] = (
-    ("corner_force", "corner_force_{}_N"),
-    ("corner_gap", "corner_gap_{}_m"),
-    ("corner_closing_speed", "corner_closing_speed_{}_m_s"),
-    ("corner_other_car", "corner_other_car_{}"),
-)
-"""Corner field of ``derail_msgs/TrainState`` and name of its column at each of the corners."""
-
-STRIKER_COLUMNS = (
-    ("striker_force_front", "striker_force_front_N"),
-    ("striker_force_rear", "striker_force_rear_N"),
-)
-
-COUPLING_COLUMNS: tuple[tuple[str, str], ...] = (
-    ("coupled", "coupled"),
-    ("relative_angle", "relative_angle_rad"),
-    ("knuckle_moment", "knuckle_moment_N_m"),
-    ("constraint_force_x", "coupler_force_x_N"),
-    ("constraint_force_y", "coupler_force_y_N"),
-    ("axial_force", "axial_force_N"),
-    ("gap_error", "coupler_error_m"),
-)
-"""Field of ``derail_msgs/CouplerStates`` and name of its column: the coupling behind a car."""
-
-INTEGERS = {"car", "car_ahead", "car_behind", "coupled", "step"} | {
-    name for _, name in STATE_COLUMNS if name.endswith("_on_rails")
+RENAMED = {
+    "truck_status_front": "truck_front_on_rails",
+    "truck_status_rear": "truck_rear_on_rails",
+    "constraint_force_x": "coupler_force_x",
+    "constraint_force_y": "coupler_force_y",
+    "gap_error": "coupler_error",
 }
+"""Fields of messages whose column has another name."""
 
 Row = dict[str, Any]
+
+
+@functools.cache
+def columns_of(kind: str, size: str) -> dict[str, str]:
+    """Arrays of a message and their columns: field -> its name with the unit of the definition.
+
+    Parameters
+    ----------
+    kind : a message of ``derail_msgs``
+    size : ``"N"``, ``"N-1"`` or ``"4 N"``, as the definition gives it; of ``"4 N"`` (one entry a
+        corner) the name has a place for the corner
+    """
+    pattern = rf"^\w+\[\] (\w+) +# \[(.*?)\].*\({size}\)$"
+    found = re.findall(pattern, read_copy()[f"{PACKAGE}{kind}"], re.MULTILINE)
+    columns = {}
+    for field, unit in found:
+        name = RENAMED.get(field, field) + ("_{}" if size == "4 N" else "")
+        plain = re.fullmatch(r"(?:rad|kg|[msNJ]|[ /^2])+", unit)
+        columns[field] = f"{name}_{re.sub('[ /]', '_', unit.replace('^', ''))}" if plain else name
+    return columns
 
 
 # --- writing ---------------------------------------------------------------------------------
@@ -186,21 +141,16 @@ class _Parquet:
 # --- tables ----------------------------------------------------------------------------------
 
 
-def state_rows(m: Any) -> Row:
-    """A state message as columns, one row a car."""
-    n = len(m.x)
-    columns: Row = {"time_s": np.full(n, float(m.time)), "car": np.arange(1, n + 1)}
-    for field, name in STATE_COLUMNS:
-        values = np.asarray(getattr(m, field))
-        columns[name] = values.astype(np.int64) if name in INTEGERS else values
-    for axis in ("x", "y"):
-        parts = (columns[f"ground_force_{part}_{axis}_N"] for part in ("front", "rear", "body"))
-        columns[f"ground_force_total_{axis}_N"] = sum(parts)
-    for field, name in CORNER_COLUMNS:
-        corners = np.asarray(getattr(m, field)).reshape(n, len(CORNERS))
-        for k, corner in enumerate(CORNERS):
-            columns[name.format(corner)] = np.ascontiguousarray(corners[:, k])
-    return columns | _more(m)
+def _table(m: Any, kind: str, size: str, n: int, **first: Any) -> Row:
+    """The arrays of one size of a message as columns, after time and what ``first`` gives."""
+    columns: Row = {"time_s": np.full(n, float(m.time)), **first}
+    for field, name in columns_of(kind, size).items():
+        columns[name] = _whole(np.asarray(getattr(m, field)))
+    return columns
+
+
+def _whole(values: Any) -> Any:
+    return values.astype(np.int64) if values.dtype.kind == "u" else values
 
 
 def _more(m: Any) -> Row:
@@ -208,31 +158,38 @@ def _more(m: Any) -> Row:
     return {quantity.key: np.array(quantity.values) for quantity in m.more}
 
 
+def state_rows(m: Any) -> Row:
+    """A state message as columns, one row a car."""
+    n = len(m.x)
+    columns = _table(m, "TrainState", "N", n, car=np.arange(1, n + 1))
+    for axis in ("x", "y"):
+        parts = (columns[f"ground_force_{part}_{axis}_N"] for part in ("front", "rear", "body"))
+        columns[f"ground_force_total_{axis}_N"] = sum(parts)
+    for field, name in columns_of("TrainState", "4 N").items():
+        values = _whole(np.asarray(getattr(m, field)).reshape(n, len(CORNERS)))
+        for k, corner in enumerate(CORNERS):
+            column = name.format(corner.replace(" ", "_"))
+            columns[column] = np.ascontiguousarray(values[:, k])
+    return columns | _more(m)
+
+
 def striker_rows(m: Any) -> Row:
     """Striker forces of a coupler message as columns, one row a car."""
     n = len(m.striker_force_front)
-    columns: Row = {"time_s": np.full(n, float(m.time)), "car": np.arange(1, n + 1)}
-    return columns | {name: np.asarray(getattr(m, field)) for field, name in STRIKER_COLUMNS}
+    return _table(m, "CouplerStates", "N", n, car=np.arange(1, n + 1))
 
 
 def coupling_rows(m: Any) -> Row:
     """A coupler message as columns, one row a coupling."""
     n = len(m.coupled)
-    columns: Row = {
-        "time_s": np.full(n, float(m.time)),
-        "car_ahead": np.arange(1, n + 1),
-        "car_behind": np.arange(2, n + 2),
-    }
-    for field, name in COUPLING_COLUMNS:
-        values = np.asarray(getattr(m, field))
-        columns[name] = values.astype(np.int64) if name in INTEGERS else values
-    return columns | _more(m)
+    cars = {"car_ahead": np.arange(1, n + 1), "car_behind": np.arange(2, n + 2)}
+    return _table(m, "CouplerStates", "N-1", n, **cars) | _more(m)
 
 
 def energy_rows(m: Any) -> Row:
     """An energy message as columns, one row."""
-    columns: Row = {"time_s": np.array([float(m.time)])}
-    return columns | {f"{q.key}_J": np.array(q.values[:1]) for q in m.entries}
+    entries = {f"{q.key}_J": np.array(q.values[:1]) for q in m.entries}
+    return {"time_s": np.array([float(m.time)])} | entries
 
 
 STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {
@@ -243,62 +200,72 @@ STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {
 """Message -> tables written from it while the recording is read."""
 
 
-def _column(rows: Sequence[Any], get: Callable[[Any], Any]) -> list[Any]:
-    return [get(row) for row in rows]
+COLLISION_COLUMNS = {
+    "id": "id",
+    "striking_car": "car_a",
+    "struck_car": "car_b",
+    "start_s": "start",
+    "end_s": "end",
+    "peak_corner_force_N": "peak_force",
+    "peak_corner_force_time_s": "peak_time",
+    "peak_resultant_force_N": "peak_resultant",
+    "peak_resultant_force_time_s": "peak_resultant_time",
+    "closing_speed_m_s": "closing_speed",
+    "angle_rad": "angle",
+    "x_m": "x",
+    "y_m": "y",
+    "z_m": "z",
+    "normal_x": "normal_x",
+    "normal_y": "normal_y",
+    "normal_z": "normal_z",
+    "corner_car": "corner_car",
+    "touch": "touch",
+    "object": "object",
+    "energy_taken_out_J": "energy_lost",
+}
+"""Column -> attribute of ``vocabulary.events.Collision``."""
+
+EVENT_COLUMNS = {
+    "time_s": "time",
+    "step": "step",
+    "kind": "kind",
+    "cars": "cars",
+    "end": "end",
+    "cause": "cause",
+    "x_m": "x",
+    "y_m": "y",
+    "z_m": "z",
+    "track_coordinate_m": "track_coordinate",
+    "speed_m_s": "speed",
+    "value": "value",
+    "value_unit": "value_unit",
+    "object": "object",
+    "before": "before",
+    "after": "after",
+    "text": "text",
+}
+"""Column -> attribute of ``vocabulary.events.Event``."""
 
 
 def collision_rows(run: RecordedRun) -> Row:
     """The collisions as columns, the hardest first."""
     rows = by_severity(run)
-    columns: dict[str, Callable[[Any], Any]] = {
-        "id": lambda c: c.id,
-        "striking_car": lambda c: c.car_a,
-        "struck_car": lambda c: c.car_b,
-        "start_s": lambda c: c.start,
-        "end_s": lambda c: c.end,
-        "peak_corner_force_N": lambda c: c.peak_force,
-        "peak_corner_force_time_s": lambda c: c.peak_time,
-        "peak_resultant_force_N": lambda c: c.peak_resultant,
-        "peak_resultant_force_time_s": lambda c: c.peak_resultant_time,
-        "closing_speed_m_s": lambda c: c.closing_speed,
-        "angle_rad": lambda c: c.angle,
-        "x_m": lambda c: c.x,
-        "y_m": lambda c: c.y,
-        "normal_x": lambda c: c.normal_x,
-        "normal_y": lambda c: c.normal_y,
-        "corner_car": lambda c: c.corner_car,
-        "touch": lambda c: c.touch,
-        "energy_taken_out_J": lambda c: c.energy_lost,
-    }
-    return {name: _column(rows, get) for name, get in columns.items()}
+    return {name: [getattr(c, of) for c in rows] for name, of in COLLISION_COLUMNS.items()}
 
 
 def event_rows(run: RecordedRun) -> Row:
     """The events as columns, in order of time."""
-    rows = run.events
-    columns: dict[str, Callable[[Any], Any]] = {
-        "time_s": lambda e: e.time,
-        "step": lambda e: e.step,
-        "kind": lambda e: e.kind.word,
-        "cars": lambda e: " ".join(str(c) for c in e.cars),
-        "end": lambda e: e.end,
-        "cause": lambda e: e.cause,
-        "x_m": lambda e: e.x,
-        "y_m": lambda e: e.y,
-        "track_coordinate_m": lambda e: e.track_coordinate,
-        "speed_m_s": lambda e: e.speed,
-        "value": lambda e: e.value,
-        "value_unit": lambda e: e.value_unit,
-        "before": lambda e: e.before,
-        "after": lambda e: e.after,
-        "text": lambda e: e.text,
+    columns: Row = {
+        name: [getattr(e, of) for e in run.events] for name, of in EVENT_COLUMNS.items()
     }
-    return {name: _column(rows, get) for name, get in columns.items()}
+    columns["kind"] = [kind.word for kind in columns["kind"]]
+    columns["cars"] = [" ".join(map(str, cars)) for cars in columns["cars"]]
+    return {"sequence": list(range(len(run.events)))} | columns
 
 
 def consist_rows(run: RecordedRun) -> Row:
     """The train as columns, one row a car."""
-    cars = run.cars
+    cars, outcome = run.cars, run.outcome
     return {
         "car": np.arange(1, len(cars) + 1),
         "name": list(cars.name),
@@ -310,11 +277,11 @@ def consist_rows(run: RecordedRun) -> Row:
         "pivot_distance_m": cars.pivot,
         "truck_distance_m": cars.truck,
         "represents_cars": cars.represents,
-        "derailed_at_s": run.outcome.derail_time,
-        "derailed_speed_m_s": run.outcome.derail_speed,
-        "peak_corner_force_N": run.outcome.car_peak_force,
-        "peak_corner_force_time_s": run.outcome.car_peak_time,
-        "peak_corner_force_other_car": run.outcome.car_peak_other,
+        "derailed_at_s": outcome.derail_time,
+        "derailed_speed_m_s": outcome.derail_speed,
+        "peak_corner_force_N": outcome.car_peak_force,
+        "peak_corner_force_time_s": outcome.car_peak_time,
+        "peak_corner_force_other_car": outcome.car_peak_other,
     }
 
 
@@ -329,7 +296,7 @@ def export(run: RecordedRun, folder: Path, form: str = "csv") -> dict[str, int]:
         If a state cannot be made into rows.
     """
     if form not in FORMATS:
-        raise ValueError(f"format: csv or parquet, not {form!r}")
+        raise ValueError(f"format must be csv or parquet, got {form!r}")
     kind = _Csv if form == "csv" else _Parquet
     counts: dict[str, int] = {}
     with ExitStack() as stack:
@@ -358,7 +325,7 @@ def export(run: RecordedRun, folder: Path, form: str = "csv") -> dict[str, int]:
 def _stream(run: RecordedRun) -> Iterator[tuple[Any, str]]:
     """The state messages of a run, each moment once."""
     bag = open_bag(run.path)
-    wanted = {f"derail_msgs/msg/{name}": name for name in STREAMS}
+    wanted = {f"{PACKAGE}{name}": name for name in STREAMS}
     prefix = run.prefix
     seen: dict[str, float] = {}
     for channel, _, data in bag.messages(

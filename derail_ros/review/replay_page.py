@@ -19,10 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from derail_ros.review import summary, words
-from derail_ros.review.run_scene import scene_at
+from derail_ros.review import drawing, summary
+from derail_ros.review.plots import energy_parts, some
+from derail_ros.review.scene import Scene, final_scene
+from derail_ros.review.summary import capital
 from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun
@@ -43,18 +47,29 @@ RESOLUTION = {
     "force": (1e3, 1),
 }
 
-ENERGY_PARTS = (
-    ("brakes", "brakes"),
-    ("ground_trucks", "ground, trucks"),
-    ("ground_body", "ground, bodies"),
-    ("collisions", "collisions"),
+ENERGY_PARTS = {
+    "kinetic": "motion",
+    "brakes": "brakes",
+    "ground_trucks": "ground, trucks",
+    "ground_body": "ground, bodies",
+    "collisions": "collisions",
+    "": "draft gear and couplers",
+}
+"""Part of the energy (:func:`plots.energy_parts`) -> its name on the page."""
+TOLD = (
+    EventKind.TRUCK_DERAILED,
+    EventKind.COUPLER_PARTED,
+    EventKind.CAR_AT_REST,
+    EventKind.BRAKE_SIGNAL_REACHED,
 )
+"""Events that are told of each car."""
 
 
 def page(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     """The replay page of a run as HTML."""
     template, style, script = (_text(f"replay_page.{kind}") for kind in ("html", "css", "js"))
     facts = summary.findings(run) if facts is None else facts
+    outcome, stopped = summary.headline(run)
     policy = "; ".join(
         (
             "default-src 'none'",
@@ -68,8 +83,8 @@ def page(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     parts = {
         "CSP": policy,
         "TITLE": html.escape(run.title),
-        "OUTCOME": html.escape(_capital(words.sentence(run)) + "."),
-        "STOPPED": html.escape(words.stopped_by(run)),
+        "OUTCOME": html.escape(outcome),
+        "STOPPED": html.escape(stopped),
         "SOURCE": html.escape(_source(run)),
         "WARNINGS": _warnings(run),
         "DATA": script_json(data(run, facts)),
@@ -104,10 +119,6 @@ def script_json(value: Any) -> str:
     return text
 
 
-def _capital(line: str) -> str:
-    return line[:1].upper() + line[1:]
-
-
 def _source(run: RecordedRun) -> str:
     states = f"{len(run.time)} states from {run.time[0]:.2f} s to {run.time[-1]:.2f} s"
     return (
@@ -119,7 +130,7 @@ def _source(run: RecordedRun) -> str:
 def _warnings(run: RecordedRun) -> str:
     notes = [html.escape(w) for w in run.warnings]
     if run.outcome.void:
-        notes.insert(0, "Not a valid run: a body that stands for many cars reached the break.")
+        notes.insert(0, summary.NOT_VALID)
     if not notes:
         return ""
     items = "".join(f"<li>{note}</li>" for note in notes)
@@ -153,15 +164,9 @@ def pack(name: str, values: NDArray[Any]) -> tuple[dict[str, Any], bytes]:
     return head, np.ascontiguousarray(planes.T).tobytes()
 
 
-def _some(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of about ``most`` of ``count`` entries at most, the first and the last too."""
-    step = max(1, math.ceil(count / most))
-    return np.unique(np.append(np.arange(0, count, step), count - 1))
-
-
 def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
     """All that the page shows, as plain data."""
-    keep = _some(len(run.time), STATES)
+    keep = some(len(run.time), STATES)
     columns = {
         "time": run.time[keep],
         "x": run.pose[keep, :, 0],
@@ -179,7 +184,7 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
         "blob": base64.b64encode(blob).decode("ascii"),
         "cars": [_car(run, i) for i in range(run.n)],
         "track": _track(run),
-        "site": site(run),
+        "site": list(site(final_scene(run))),
         "off": _off(run),
         "parted": _parted(run),
         "contacts": [
@@ -203,7 +208,7 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
                 "time": round(e["time_s"], 6),
                 "kind": e["kind"],
                 "cars": e["cars"],
-                "text": _capital(e["text"]),
+                "text": capital(e["text"]),
             }
             for e in facts["timeline"]
         ],
@@ -238,7 +243,7 @@ def _track(run: RecordedRun) -> dict[str, Any]:
     else:
         # Finer than it was recorded, so that curves look like curves.
         s = np.linspace(line.s[0], line.s[-1], min(4000, 4 * len(line.s)))
-        x, y = (_smooth(s, line.s, p).round(3).tolist() for p in (line.x, line.y))
+        x, y = (CubicSpline(line.s, p)(s).round(3).tolist() for p in (line.x, line.y))
     breaks = [
         {"x": float(b[1]), "y": float(b[2]), "heading": float(b[3]), "time": float(b[4])}
         for b in line.breaks
@@ -246,38 +251,9 @@ def _track(run: RecordedRun) -> dict[str, Any]:
     return {"x": x, "y": y, "breaks": breaks}
 
 
-def _smooth(s: NDArray[Any], knots: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
-    """Cubic interpolation with slopes from the neighbours."""
-    slope = np.gradient(values, knots)
-    k = np.clip(np.searchsorted(knots, s) - 1, 0, len(knots) - 2)
-    h = knots[k + 1] - knots[k]
-    u = (s - knots[k]) / h
-    return np.asarray(
-        (1 + 2 * u) * (1 - u) ** 2 * values[k]
-        + u * (1 - u) ** 2 * h * slope[k]
-        + u**2 * (3 - 2 * u) * values[k + 1]
-        - (u**2) * (1 - u) * h * slope[k + 1]
-    )
-
-
-def site(run: RecordedRun) -> list[float]:
-    """Window around the derailed cars at the end and the breaks (the train, if none derailed)."""
-    off = run.derailed[-1] & run.cars.real
-    scene = scene_at(run, float(run.time[-1]))
-    corners = scene.corners()
-    chosen = corners[off] if off.any() else corners[run.cars.real]
-    points = [chosen.reshape(-1, 2)]
-    if off.any():
-        low, high = points[0].min(axis=0), points[0].max(axis=0)
-        near = run.line.breaks[:, 1:3]
-        near = near[((near > low - 120.0) & (near < high + 120.0)).all(axis=1)]
-        points.append(near)
-        behind = int(np.flatnonzero(off)[-1]) + 1
-        if behind < run.n and run.cars.represents[behind] == 1:
-            points.append(corners[behind][:2])
-    flat = np.concatenate(points)
-    low, high = flat.min(axis=0) - 9.0, flat.max(axis=0) + 9.0
-    return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
+def site(scene: Scene) -> drawing.Window:
+    """What the page shows at first, m; all cars of a train on the rails."""
+    return drawing.site(scene, margin=9.0, reach=120.0, cars=len(scene.pose))
 
 
 def _off(run: RecordedRun) -> list[list[float | None]]:
@@ -314,15 +290,10 @@ def _car_events(run: RecordedRun) -> list[list[dict[str, Any]]]:
 
     def add(car: int, time: float, kind: str, text: str) -> None:
         if 1 <= car <= run.n:
-            rows[car - 1].append({"time": round(time, 6), "kind": kind, "text": _capital(text)})
+            rows[car - 1].append({"time": round(time, 6), "kind": kind, "text": capital(text)})
 
     for e in run.events:
-        if e.cars and e.kind in (
-            EventKind.TRUCK_DERAILED,
-            EventKind.COUPLER_PARTED,
-            EventKind.CAR_AT_REST,
-            EventKind.BRAKE_SIGNAL_REACHED,
-        ):
+        if e.kind in TOLD:
             for car in e.cars[:2]:
                 add(car, e.time, e.kind.word, e.text)
     for c in run.collisions:
@@ -336,16 +307,14 @@ def _car_events(run: RecordedRun) -> list[list[dict[str, Any]]]:
 def _energy(run: RecordedRun) -> dict[str, Any] | None:
     if not run.energy or float(run.energy["initial"][0]) <= 0.0:
         return None
-    keep = _some(len(run.energy_time), ENERGY_ROWS)
+    keep = some(len(run.energy_time), ENERGY_ROWS)
     ledger = {name: values[keep] for name, values in run.energy.items()}
-    parts = [("motion", ledger["kinetic"])]
-    parts += [(label, np.maximum(ledger[name], 0.0)) for name, label in ENERGY_PARTS]
-    rest = ledger["initial"] + ledger["external"] - sum(values for _, values in parts)
-    parts.append(("draft gear and couplers", np.maximum(rest, 0.0)))
+    parts = energy_parts(ledger, [key for key in ENERGY_PARTS if key in ENERGY_ENTRIES][1:])
     return {
         "initial": float(ledger["initial"][0]),
         "time": run.energy_time[keep].round(4).tolist(),
         "parts": [
-            {"label": label, "values": np.round(values).tolist()} for label, values in parts
+            {"label": ENERGY_PARTS[key], "values": np.round(values).tolist()}
+            for key, values in parts
         ],
     }

@@ -1,21 +1,24 @@
 """A scene: all that a picture of a train at one moment needs, as plain arrays.
 
-It is made from a simulation, or from arrays read back from a recording.
+It is made from a simulation, or from a recorded run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.vocabulary.scene import car_corners
+from derail_ros.recording.recorded_run import SampledLine
+from derail_ros.vocabulary.scene import Line, car_corners, scene_box
 
 if TYPE_CHECKING:
+    from derail_ros.recording.recorded_run import RecordedRun
     from derail_ros.vocabulary.outcome import Outcome
+    from derail_ros.vocabulary.params import Car
     from derail_ros.vocabulary.simulation import Simulation
 
 F64 = NDArray[np.float64]
@@ -43,10 +46,10 @@ class Scene:
     peak_force : (N,) largest corner force on each car, N; nan where unknown
     track : (M, 2) centre line through the scene, m
     breaks : (K, 3) rail breaks: x, y (m) and heading of the track (rad)
-    scene_length, scene_width, scene_area : bounding box of the derailed cars along and across
-        the track, m, m, m^2
+    scene_length, scene_width : box of the derailed cars along and across the track, m
     straight : the track is straight along +X, so that the box may be drawn
     title, subtitle : lines above the picture
+    numbers : car number of each body; 1, 2, ... by default
     """
 
     pose: F64
@@ -63,7 +66,6 @@ class Scene:
     breaks: F64
     scene_length: float = float("nan")
     scene_width: float = float("nan")
-    scene_area: float = float("nan")
     straight: bool = True
     title: str = ""
     subtitle: str = ""
@@ -155,6 +157,10 @@ class Scene:
         return self.pivots() + u
 
 
+MARGIN = 60.0
+"""Track that is drawn beyond the cars at both ends, m."""
+
+
 def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str = "") -> Scene:
     """The scene of a simulation at its present time."""
     sample = simulation.sample()
@@ -173,44 +179,28 @@ def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str
 
 
 def make_scene(
-    cars: Sequence,
+    cars: Sequence[Car],
     pose: F64,
-    truck_on: NDArray,
-    coupled: NDArray,
+    truck_on: NDArray[Any],
+    coupled: NDArray[Any],
     *,
     coupler: F64 | None = None,
     outcome: Outcome | None = None,
-    track: object | None = None,
+    track: Line | None = None,
     breaks: Sequence[float] = (),
     title: str = "",
     subtitle: str = "",
 ) -> Scene:
-    """A scene from the cars of a run (engine's ``Car`` objects), a state and an outcome.
+    """A scene from the cars of a run, a state and an outcome.
 
-    ``track`` has the engine's ``Track.point(s) -> (x, y, heading, curvature)`` and
-    ``Track.locate(x, y) -> (s, d)``; None is the endless straight along +X.
+    ``breaks`` are track coordinates, m. Without a track it is the endless straight along +X.
     """
     pose = np.asarray(pose, dtype=float)
+    line = SampledLine() if track is None else track
     n = len(cars)
-    numbers = tuple(1 + i for i in range(n))
-    margin = 60.0
-    if track is None:
-        ends = (float(pose[:, 0].min()) - margin, float(pose[:, 0].max()) + margin)
-        line = np.array([[ends[0], 0.0], [ends[1], 0.0]])
-        places = np.array([[s, 0.0, 0.0] for s in breaks]).reshape(-1, 3)
-        straight = True
-    else:
-        s = [track.locate(float(x), float(y))[0] for x, y in pose[:, :2]]  # type: ignore[attr-defined]
-        low, high = min([*s, *breaks]) - margin, max([*s, *breaks]) + margin
-        low, high = max(low, track.start), min(high, track.end)  # type: ignore[attr-defined]
-        grid = np.linspace(low, high, max(2, int((high - low) / 2.0)))
-        points = np.array([track.point(float(u)) for u in grid])  # type: ignore[attr-defined]
-        line = points[:, :2]
-        straight = bool(np.ptp(line[:, 1]) < 1e-6)
-        if straight:
-            line = line[[0, -1]]
-        places = np.array([track.point(float(u))[:3] for u in breaks]).reshape(-1, 3)  # type: ignore[attr-defined]
-    unknown = np.full(n, np.nan)
+    box = {}
+    if outcome is not None:
+        box = {k: getattr(outcome, k) for k in ("scene_length", "scene_width")}
     return Scene(
         pose=pose,
         length=np.array([c.length for c in cars]),
@@ -221,14 +211,55 @@ def make_scene(
         represents=np.array([c.represents for c in cars]),
         coupler=np.full((n, 2), np.nan) if coupler is None else np.asarray(coupler, dtype=float),
         coupler_length=np.array([[c.front.length, c.rear.length] for c in cars]),
-        peak_force=unknown if outcome is None else np.asarray(outcome.car_peak_force, dtype=float),
-        track=line,
-        breaks=places,
-        scene_length=float("nan") if outcome is None else outcome.scene_length,
-        scene_width=float("nan") if outcome is None else outcome.scene_width,
-        scene_area=float("nan") if outcome is None else outcome.scene_area,
-        straight=straight,
+        peak_force=np.full(n, np.nan) if outcome is None else np.asarray(outcome.car_peak_force),
+        track=_track_near(line, pose),
+        breaks=np.array([line.point(float(s))[:3] for s in breaks]).reshape(-1, 3),
+        straight=line.straight,
         title=title,
         subtitle=subtitle,
-        numbers=numbers,
+        **box,
     )
+
+
+def scene_at(run: RecordedRun, time: float, title: str = "", subtitle: str = "") -> Scene:
+    """The scene of a recorded run at a time (s)."""
+    i = run.at(time)
+    pose = run.pose_at(time)[:, [0, 1, 5]]
+    if run.outcome.final and i == len(run.time) - 1:
+        length, width = run.outcome.scene_length, run.outcome.scene_width
+    else:
+        off = run.derailed[i] & run.cars.real
+        corners = car_corners(pose, run.cars.length, run.cars.width)[off]
+        length, width, _ = scene_box(run.line, corners, pose[off, 0])
+    return Scene(
+        pose=pose,
+        length=run.cars.length,
+        width=run.cars.width,
+        pivot=run.cars.pivot,
+        truck_on=run.truck_on[i],
+        coupled=run.coupled[i],
+        represents=run.cars.represents,
+        coupler=run.coupler_yaw[i],
+        coupler_length=run.cars.coupler,
+        peak_force=run.peaks_until(time),
+        track=_track_near(run.line, pose),
+        breaks=run.line.breaks[run.line.breaks[:, 4] <= time + 1e-9][:, 1:4],
+        scene_length=length,
+        scene_width=width,
+        straight=run.line.straight,
+        title=title,
+        subtitle=subtitle,
+    )
+
+
+def final_scene(run: RecordedRun) -> Scene:
+    """The scene at the end of a recording, with its title and outcome."""
+    return scene_at(run, float(run.time[-1]), run.title, run.outcome.text)
+
+
+def _track_near(line: Line, pose: F64) -> F64:
+    """(M, 2) the centre line along the cars, m."""
+    s = [line.locate(float(x), float(y))[0] for x, y in pose[:, :2]]
+    low, high = max(min(s) - MARGIN, line.start), min(max(s) + MARGIN, line.end)
+    n = 2 if line.straight else max(2, int((high - low) / 2.0))
+    return np.array([line.point(float(u))[:2] for u in np.linspace(low, high, n)])

@@ -6,7 +6,7 @@ To add a measure, add one row to :data:`MEASURES`; everything else reads the tab
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -205,6 +205,17 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
         "energy_J": energy,
         "wall_s": finite(wall_s, 6),
     }
+
+
+def shown_rows(
+    record: Mapping[str, Any], groups: Sequence[str] = (HEADLINE,), without: Sequence[str] = ()
+) -> list[tuple[str, str]]:
+    """Title and value, for people, of each measure that a record has."""
+    return [
+        (m.title, m.shown(record[m.key]))
+        for m in MEASURES.values()
+        if m.group in groups and m.key not in without and record.get(m.key) is not None
+    ]
 
 
 def failed_record(error: str, wall_s: float | None = None) -> Record:
