@@ -64,7 +64,7 @@ EXTRAS := ros,studies,dev
 PARTS := $(STAMPS)/msgs $(STAMPS)/project-$(EXTRAS)
 endif
 
-.PHONY: help env run test lint verify bench clean
+.PHONY: help env run lint test test-plain test-ros verify bench clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -83,9 +83,9 @@ $(STAMPS)/project-$(EXTRAS): $(PROJECT_SOURCES) | $(STAMPS)/venv
 	@$(call pip,project,install --constraint constraints.txt --editable '.[$(EXTRAS)]')
 	@touch $@
 
-# The wheel of the messages takes a minute or two: built beside the rest, and only when they change.
+# The wheel of the messages takes a minute: built beside the rest, and only when they change.
 $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
-	@echo "env: building derail_msgs against the ROS 2 wheels (a minute or two)"
+	@echo "env: building derail_msgs against the ROS 2 wheels (about a minute)"
 	@command -v "$${CXX:-g++}" >/dev/null || { \
 	  echo "derail_msgs needs a C++ compiler (Debian, Ubuntu: apt-get install g++), or make ROS=0" >&2; exit 1; }
 	@rm -rf $(VENV)/wheels
@@ -111,12 +111,23 @@ lint: env  ## ruff (lint and format) and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Those with a ROS graph run one after the other: they look at times.
-test: lint  ## everything that must hold, within minutes
+test-plain: env
 	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and not ros" -n auto \
 	  --maxprocesses 8 --dist loadfile $(PYTEST_ARGS)
-	@if [ "$(ROS)" != 0 ]; then \
-	  $(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and ros" $(PYTEST_ARGS); fi
+
+# One after the other: each starts several processes.
+test-ros: env
+	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and ros" $(PYTEST_ARGS)
+
+# Every part runs, whatever became of those before it; the end names all failures.
+TEST_PARTS := lint test-plain $(if $(filter 0,$(ROS)),,test-ros)
+test: env  ## everything that must hold, within minutes
+	@$(BIN)/python -c 'from derail_ros.engine import warm_up; warm_up()'
+	@mkdir -p $(VENV)/log; failed=; for part in $(TEST_PARTS); do \
+	  $(MAKE) $$part 2>&1 | tee $(VENV)/log/$$part.txt || failed="$$failed $$part"; done; \
+	if [ -n "$$failed" ]; then echo "make test: failed:$$failed"; \
+	  for part in $$failed; do grep -E '^(FAILED|ERROR) ' $(VENV)/log/$$part.txt || true; done; \
+	  exit 1; fi
 
 REPEATS ?= 10
 verify: env  ## the slow tests; those with a ROS graph REPEATS times, and on Jazzy's wheels

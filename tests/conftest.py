@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import signal
+import sys
+from collections.abc import Callable
 from typing import Any
+
+import pytest
 
 # A shell makes what it runs in the background ignore Ctrl-C, and so would every process that the
 # tests start and interrupt.
@@ -14,6 +18,31 @@ UNCHECKED = "NOT CHECKED: "
 """Beginning of the reason for skipping a test that needs what is not installed here."""
 BROWSER = "the replay page"
 """What is not checked without a browser."""
+
+
+@pytest.fixture
+def calls() -> Callable[[Callable[[], Any]], int]:
+    """Return a counter of the function calls that a piece of work takes.
+
+    The count measures work on any machine and under any load, which a time does not.
+    """
+
+    def count(work: Callable[[], Any]) -> int:
+        found = 0
+
+        def one(frame: Any, event: str, argument: Any) -> None:
+            nonlocal found
+            found += event in ("call", "c_call")
+
+        before = sys.getprofile()
+        sys.setprofile(one)
+        try:
+            work()
+        finally:
+            sys.setprofile(before)
+        return found
+
+    return count
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

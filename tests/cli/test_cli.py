@@ -1,9 +1,8 @@
-"""The command line from outside: speed of help, errors in one line, signals, exit codes."""
+"""The command line from outside: what help imports, errors in one line, signals, exit codes."""
 
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -16,27 +15,13 @@ def shell(*arguments, **kwargs):
     )
 
 
-def test_help_is_quick():
-    """Within 0.3 s, where Python itself starts within 0.06 s; a slower machine gets longer."""
-    times, bare = [], []
-    for _ in range(5):
-        began = time.perf_counter()
-        answer = shell("--help")
-        times.append(time.perf_counter() - began)
-        assert answer.returncode == 0
-        assert "simulate" in answer.stdout
-        began = time.perf_counter()
-        subprocess.run([sys.executable, "-c", ""], check=True)
-        bare.append(time.perf_counter() - began)
-    assert min(times) < 0.3 * max(1.0, min(bare) / 0.06)
-
-
 @pytest.mark.parametrize("command", ["", "simulate", "scenarios", "estimate", "validate"])
 def test_help_imports_nothing_heavy(command):
     code = (
         "import sys; from derail_ros.cli import main\n"
         f"code = main({[*command.split(), '--help']!r})\n"
-        "heavy = {'numpy', 'numba', 'scipy', 'matplotlib', 'yaml', 'rosbags', 'rclpy'}\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'pandas', 'matplotlib', 'yaml',\n"
+        "         'rosbags', 'mcap', 'rclpy', 'dask', 'asyncio', 'multiprocessing'}\n"
         "found = heavy & set(sys.modules)\n"
         "sys.exit(code if not found else f'imported {found}')"
     )
@@ -108,20 +93,36 @@ def test_a_reader_that_goes_away_is_no_error():
     assert b"Traceback" not in err
 
 
+TELLING = """
+import sys
+from derail_ros import models
+from derail_ros.cli import main
+made, build = [], models.build
+def counted(*arguments):
+    made.append(0)
+    if len(made) == 20:
+        print("running", flush=True)
+    return build(*arguments)
+models.build = counted
+sys.exit(main(sys.argv[1:]))
+"""
+"""A ``derail`` that says when it has begun with its twentieth run."""
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_interrupted(number, jobs, small):
     from derail_ros.engine import warm_up
 
     warm_up()
+    arguments = ["simulate", small, "--ensemble", "100000", "--jobs", jobs, "--json"]
     process = subprocess.Popen(
-        [*PYTHON, "simulate", small, "--ensemble", "100000", "--jobs", jobs, "--json"],
+        [sys.executable, "-c", TELLING, *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(4.0)
-    assert process.poll() is None
+    assert process.stdout.readline() == "running\n"
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130

@@ -160,6 +160,26 @@ def test_speed_zero_runs_to_the_end_without_waiting() -> None:
     assert bench.heard.last("outcome").is_final
 
 
+def test_at_full_load_the_loop_works_for_a_slice_at_a_time() -> None:
+    """A request waits for one slice at most, so that services answer soon."""
+    bench = Bench(speed_factor=0.0)
+    bench.load(ENDLESS)
+    session = bench.core.session
+    advance, budgets = session.advance, []
+
+    def costly(budget: float) -> bool:
+        budgets.append(budget)
+        bench.wall.now += 0.3 * core.SLICE
+        return advance()
+
+    session.advance = costly
+    for _ in range(20):
+        before = bench.wall.now
+        assert bench.core.work() <= bench.wall.now
+        assert bench.wall.now - before == pytest.approx(1.2 * core.SLICE)
+    assert max(budgets) <= core.SLICE
+
+
 def test_work_says_when_it_is_needed_again() -> None:
     bench = Bench(speed_factor=1.0, publish_clock=False, marker_rate=0.0)
     assert bench.core.work() > bench.wall.now

@@ -402,7 +402,10 @@ with Reader({str(run.path)!r}) as reader:
     rows = [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
 for topic, stamp, data in rows[: len(rows) // 2]:
     recorder.write(topic, stamp, data)
-time.sleep(1.5)
+sizes = [0]
+while sizes[-1] < 50_000 or sizes[-1] != sizes[-2]:  # all of it has reached the disk
+    time.sleep(1.0)
+    sizes.append(sum(f.stat().st_size for f in recorder.path.iterdir()))
 for topic, stamp, data in rows[len(rows) // 2 : -100]:
     recorder.write(topic, stamp, data)
 print("written", flush=True)

@@ -540,21 +540,19 @@ def test_what_ffmpeg_complains_of_is_one_line(run: RecordedRun, tmp_path, monkey
 # --- a large recording -----------------------------------------------------------------------
 
 MEASURE = """
-import pathlib, sys, time
+import pathlib, sys
 from derail_ros import cli
-from derail_ros.vocabulary.events import EventKind
-began = time.monotonic()
 assert cli.main(["review", sys.argv[1], "-o", sys.argv[2]]) == 0
 # Its own peak: ru_maxrss would begin with that of the process that started this one.
 status = pathlib.Path("/proc/self/status").read_text()
 used = int(status.partition("VmHWM:")[2].split()[0]) / 1024
-print(f"{time.monotonic() - began:.1f} {used:.0f}", file=sys.stderr)
+print(f"{used:.0f}", file=sys.stderr)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_100_mb_are_reviewed_in_a_minute_and_500_mb(tmp_path) -> None:
+def test_100_mb_are_reviewed_in_500_mb(tmp_path) -> None:
     import subprocess
 
     from derail_ros.engine import PlanarSimulation
@@ -572,8 +570,6 @@ def test_100_mb_are_reviewed_in_a_minute_and_500_mb(tmp_path) -> None:
         text=True,
         check=True,
     )
-    seconds, megabytes = map(float, done.stderr.strip().splitlines()[-1].split())
-    assert seconds < 60.0
-    assert megabytes < 500.0
+    assert float(done.stderr.strip().splitlines()[-1]) < 500.0
     whole = read_bag(path)
     assert whole.outcome.final

@@ -41,7 +41,7 @@ def told(figure):
 
 
 def test_the_summary_has_no_nonsense(short) -> None:
-    text = summary.text(short)
+    text = summary.text(short).replace(str(short.path), "")  # in a folder of any name
     assert len(short.outcome.derailed_cars) == short.n
     assert not re.search(r"-0(\.0)?\b(?!\.)", text), "a zero with a sign"
     assert not re.search(r"\b0 J|nan", text)

