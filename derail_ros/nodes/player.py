@@ -97,9 +97,7 @@ class Player(Program):
         """Publish a topic of the recording, if its type is installed."""
 
         def make() -> Any:
-            return make_publisher(
-                self.node, channel.topic, channel.msgtype, channel_qos(channel)
-            )
+            return make_publisher(self.node, channel.topic, channel.msgtype, channel_qos(channel))
 
         try:
             self.outputs.open(channel.topic, make, channel.latched)
