@@ -1,4 +1,4 @@
-"""What the ``player`` node does with a recording and the time; no ROS in here."""
+"""What the node ``player`` does with a recording and the time; no ROS in here."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 
+from derail_ros.nodes.outputs import Output
 from derail_ros.recording.channels import Channel
 from derail_ros.recording.decoding import present_bytes
 from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.common import NANOSECONDS
 
 IDLE = 0.1
-"""Wall time after which the player looks around even if nothing is due, s."""
+"""Wall time after which the player goes round even if nothing is due, s."""
 SLICE = 0.01
-"""Wall time after which it looks for requests while much is due, s."""
+"""Wall time of publishing after which requests are served, s."""
 STALL = 0.5
-"""Wall time by which it may be late; what is later is not made up for, s."""
+"""Lateness that is made up for, s."""
 LOOK_BACK = 2 * NANOSECONDS
 """How far back a seek looks for the last state of everything, ns."""
 OWN_CLOCK = ("/clock",)
@@ -28,16 +28,6 @@ OWN_CLOCK = ("/clock",)
 
 Item = tuple[int, str, bytes]
 """Time (ns), topic and CDR bytes."""
-
-
-class Output(Protocol):
-    """Where messages go."""
-
-    def publish(self, topic: str, data: bytes) -> None:
-        """Send a message."""
-
-    def renew(self) -> None:
-        """Forget the latched messages sent so far."""
 
 
 class Playback:
@@ -50,7 +40,15 @@ class Playback:
     output
         Where messages go; may be set later.
     wall
-        The wall time, s.
+        Steady clock, s.
+
+    Attributes
+    ----------
+    start, end : recorded time of the first and last message, ns
+    channels : the topics that are played
+    loop : start again at the end
+    stopped : a client has stopped the player
+    laps : how often it has started again
 
     Raises
     ------
@@ -66,9 +64,8 @@ class Playback:
     ) -> None:
         self.bag = open_bag(path)
         if not self.bag.intact:
-            raise BagError(f"{path}: cut off; `derail repair {path}` makes it whole")
+            raise BagError(f"{path}: the recording is cut off; repair it: derail repair {path}")
         self.output = output
-        self.wall = wall
         self.loop = False
         self.stopped = False
         self.laps = 0
@@ -76,13 +73,13 @@ class Playback:
         if span is None:
             raise BagError(f"{self.bag.path}: no message in it")
         self.start, self.end = span
-        self.channels = [c for c in self.bag.channels if c.topic not in OWN_CLOCK]
+        self.channels = [c for c in self.bag.channels if self._is_played(c)]
         self._latched_names = {c.topic for c in self.channels if c.latched}
         self._latched: list[Item] = [
             (stamp, channel.topic, present_bytes(channel, data))
             for channel, stamp, data in self.bag.messages(self._is_latched)
         ]
-        self._latched_times = [stamp for stamp, _, _ in self._latched]
+        self._wall = wall
         self._rate = 1.0
         self._paused = True
         self._now = self.start
@@ -94,29 +91,30 @@ class Playback:
     def _is_latched(self, channel: Channel) -> bool:
         return channel.topic in self._latched_names
 
-    def _is_played(self, channel: Channel) -> bool:
+    @staticmethod
+    def _is_played(channel: Channel) -> bool:
         return channel.topic not in OWN_CLOCK
 
     def close(self) -> None:
         """Close the recording."""
         self._items = iter(())
 
-    # --- time ----------------------------------------------------------------------------------
+    # --- time --------------------------------------------------------------------------------
 
     @property
     def now(self) -> int:
         """Recorded time, ns."""
         if self._paused:
             return self._now
-        elapsed = (self.wall() - self._anchor) * self._rate * NANOSECONDS
+        elapsed = (self._wall() - self._anchor) * self._rate * NANOSECONDS
         return min(self._now + int(elapsed), self.end)
 
     def _set(self, now: int) -> None:
-        self._now, self._anchor = now, self.wall()
+        self._now, self._anchor = now, self._wall()
 
     @property
     def paused(self) -> bool:
-        """Whether it stands still."""
+        """Whether time stands still."""
         return self._paused
 
     @property
@@ -130,20 +128,20 @@ class Playback:
         return self._next is None
 
     def pause(self) -> None:
-        """Stand still."""
+        """Let time stand still."""
         self._set(self.now)
         self._paused = True
 
     def resume(self) -> None:
-        """Go on; from the beginning, if the end had been reached."""
+        """Go on, from the start if the end had been reached."""
         if self.finished:
             self.seek(self.start)
         if self._paused:
             self._paused = False
-            self._anchor = self.wall()
+            self._anchor = self._wall()
 
     def set_rate(self, rate: float) -> bool:
-        """Play at another rate; refused unless it is above zero and finite."""
+        """Play at another rate; refused unless it is finite and above zero."""
         if not math.isfinite(rate) or rate <= 0.0:
             return False
         self._set(self.now)
@@ -151,9 +149,9 @@ class Playback:
         return True
 
     def seek(self, stamp: int) -> bool:
-        """Go on from another moment; refused outside the recording.
+        """Go on from another moment (ns); refused outside the recording.
 
-        Listeners get anew what is latched at that moment, and the last state before it.
+        Subscribers get again what is latched at that moment, and the last state before it.
         """
         if not self.start <= stamp <= self.end:
             return False
@@ -170,7 +168,7 @@ class Playback:
         self._items = (
             (when, channel.topic, present_bytes(channel, data))
             for channel, when, data in self.bag.messages(self._is_played, start=stamp)
-            # Those latched until now are shown at once.
+            # A seek shows those that are latched until then.
             if not (stamp > self.start and when <= stamp and self._is_latched(channel))
         )
         self._next = next(self._items, None)
@@ -179,7 +177,8 @@ class Playback:
         """Publish what is latched at a moment, and the last state before it."""
         if self.output is None:
             return
-        for _, topic, data in self._latched[: bisect.bisect_right(self._latched_times, stamp)]:
+        shown = bisect.bisect_right(self._latched, stamp, key=lambda item: item[0])
+        for _, topic, data in self._latched[:shown]:
             self.output.publish(topic, data)
         last: dict[str, bytes] = {}
         early = max(self.start, stamp - LOOK_BACK)
@@ -189,29 +188,22 @@ class Playback:
         for topic, data in last.items():
             self.output.publish(topic, data)
 
-    # --- playing -------------------------------------------------------------------------------
+    # --- playing -----------------------------------------------------------------------------
 
     def work(self) -> float:
-        """Publish what is due; gives the wall time until which nothing is."""
-        began = self.wall()
+        """Publish what is due; returns the wall time until which nothing else is."""
+        began = self._wall()
         if self._paused:
             return began + IDLE
-        if self._next is None:
-            return self._at_end(began)
-        late = (self.now - self._next[0]) / NANOSECONDS / self._rate
-        if late > STALL:
+        if self._next is not None and self._seconds_to(self._next) < -STALL:
             # The machine stood still: go on from here, without a burst.
             self._set(self._next[0])
         while self._next is not None and self._next[0] <= self.now:
             self._send()
-            if self.wall() - began > SLICE:
+            if self._wall() - began > SLICE:
                 return began
-        if self._next is None:
-            return self._at_end(began)
-        wait = (self._next[0] - self.now) / NANOSECONDS / self._rate
-        return self.wall() + min(wait, IDLE)
-
-    def _at_end(self, began: float) -> float:
+        if self._next is not None:
+            return self._wall() + min(self._seconds_to(self._next), IDLE)
         if not self.loop:
             self.pause()
             return began + IDLE
@@ -219,12 +211,15 @@ class Playback:
         self.seek(self.start)
         return began
 
+    def _seconds_to(self, item: Item) -> float:
+        """Wall time until a message is due, s."""
+        return (item[0] - self.now) / NANOSECONDS / self._rate
+
     def _send(self) -> None:
         if self._next is None:
             return
-        _, topic, data = self._next
         if self.output is not None:
-            self.output.publish(topic, data)
+            self.output.publish(*self._next[1:])
         self._next = next(self._items, None)
 
     def send_present(self) -> None:
@@ -241,6 +236,6 @@ class Playback:
         return True
 
     def burst(self, count: int) -> int:
-        """Publish so many messages at once, 0 for all that are left; only while paused."""
+        """Publish this many messages at once, 0 for all that are left; only while paused."""
         steps = itertools.count() if count == 0 else range(count)
         return sum(1 for _ in itertools.takewhile(lambda _: self.play_next(), steps))

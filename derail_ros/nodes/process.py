@@ -1,141 +1,161 @@
-"""What a node's process needs: signals, a clean beginning and a clean end."""
+"""The process of a node: start, signals, the loop, the end, the exit code."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import os
-import re
 import signal
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
-try:
-    import fcntl
-except ImportError:  # no POSIX, and no shared memory of this kind
-    fcntl = None  # type: ignore[assignment]
+from derail_ros.nodes.declaration import usage
+from derail_ros.nodes.shared_memory import sweep
 
-
-SERVICE_DEPTH = 100
-"""Requests of a service that may wait, and answers that may be on their way. With the usual depth
-of 10 the middleware drops the others without a word."""
-
-
-def service_qos() -> Any:
-    """The quality of service of a node's services."""
-    from rclpy.qos import QoSProfile
-
-    return QoSProfile(depth=SERVICE_DEPTH)
-
-
-class Stop:
-    """A request to end, set by SIGINT or SIGTERM.
-
-    The handlers of ``rclpy`` shut the context down in the middle of a callback; with these a node
-    ends between two rounds of its loop.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        self.interrupts = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._handle)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        if self.interrupts:
-            raise Interrupted
-
-    def during(self, work: Callable[[], Any]) -> Any:
-        """Do work that takes long and may be broken off by a signal.
-
-        Raises
-        ------
-        Interrupted
-            If a signal came before or meanwhile.
-        """
-        self.interrupts = True
-        try:
-            if self.asked:
-                raise Interrupted
-            return work()
-        finally:
-            self.interrupts = False
+OK = 0
+"""Exit code: the node has ended as it was told to."""
+FAILED = 1
+"""Exit code: the node could not start, or its run has failed."""
 
 
 class StartError(Exception):
-    """A node cannot start, for a reason that the user can mend."""
+    """A node cannot start, for a reason that its user can remove."""
+
+
+class Interrupted(BaseException):
+    """A signal arrived during work that may be interrupted."""
 
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """What goes wrong in here is told in a line instead of a traceback."""
+    """Report errors of a start in one line, without a traceback."""
     try:
         yield
     except (ValueError, RuntimeError, OSError) as error:
         raise StartError(str(error)) from error
 
 
-class Interrupted(BaseException):
-    """A signal came during work that may be broken off."""
+class Stop:
+    """A request to end, set by SIGINT or SIGTERM.
 
-
-SHARED_MEMORY = Path("/dev/shm")
-SEGMENT_LOCK = re.compile(r"(fastdds_[0-9a-f]{16})_el")
-YOUNG = 5.0
-"""A segment of shared memory is left alone for so long: its process may be about to lock it, s."""
-
-
-def sweep_shared_memory(folder: Path = SHARED_MEMORY) -> int:
-    """Remove what killed processes have left of Fast DDS; returns the number of segments.
-
-    Each process holds the lock of its segment (half a megabyte) until it ends, whatever ends it;
-    a segment whose lock is free belongs to nobody. Fast DDS removes it only if another process
-    that has known it lives on.
+    ``rclpy``'s own handlers shut the context down in the middle of a callback. These let a node
+    end between two rounds of its loop.
     """
-    if fcntl is None or not folder.is_dir():
-        return 0
-    removed = 0
-    for lock in folder.iterdir():
-        found = SEGMENT_LOCK.fullmatch(lock.name)
-        if found is None:
-            continue
-        # Somebody else's, or gone meanwhile: not ours to tidy.
-        with contextlib.suppress(OSError), lock.open("rb") as stream:
-            if time.time() - os.fstat(stream.fileno()).st_mtime < YOUNG:
-                continue
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            (folder / found[1]).unlink(missing_ok=True)
-            lock.unlink()
-            removed += 1
-    return removed
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._raises = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        if self._raises:
+            raise Interrupted
+
+    def during(self, work: Callable[[], Any]) -> Any:
+        """Do long work that a signal may interrupt.
+
+        Raises
+        ------
+        Interrupted
+            If a signal has arrived before or arrives meanwhile.
+        """
+        self._raises = True
+        try:
+            if self.asked:
+                raise Interrupted
+            return work()
+        finally:
+            self._raises = False
 
 
-def run_node(
-    run: Callable[[Stop, Sequence[str]], int], argv: Sequence[str] | None, usage: Callable[[], str]
-) -> int:
-    """Run a node's main function; returns the exit code of the process."""
+class Program(ABC):
+    """What a node does; :func:`run_node` makes it with a node of ``rclpy`` and drives it."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.log = node.get_logger()
+
+    @abstractmethod
+    def start(self, stop: Stop) -> None:
+        """Do what is left of the start; the node is on the graph."""
+
+    @abstractmethod
+    def work(self) -> float:
+        """Do what is due; returns the wall time (s) until which nothing else is."""
+
+    def wait(self, executor: Any, due: float) -> None:
+        """Serve requests and messages until something is due (wall time, s)."""
+        executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
+
+    @property
+    @abstractmethod
+    def exit_code(self) -> int | None:
+        """Exit code when the node is to end by itself, None while it goes on."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Finish; called once, however the node ends."""
+
+
+def run_node(name: str, make: Callable[[Any], Program], argv: Sequence[str] | None) -> int:
+    """Run a node until it ends or is told to; returns the exit code of the process.
+
+    Parameters
+    ----------
+    name : of the node, which the command line can change
+    make : makes the program from the ``rclpy`` node
+    argv : arguments of the command line, ``sys.argv`` if None
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
-        print(usage())
-        return 0
+        print(usage(name))
+        return OK
     stop = Stop()
-    sweep_shared_memory()
+    sweep()
     try:
-        return run(stop, arguments)
+        return _drive(name, make, arguments, stop)
     except Interrupted:
-        return 0
+        return OK
     except StartError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 1
+        return FAILED
     finally:
-        # Whatever happened, nothing of DDS stays behind in shared memory. What the node held is
-        # let go while the interpreter is whole, not when it is half taken down.
+        # Collect the node while the interpreter is whole; DDS must leave nothing in shared memory.
         gc.collect()
         rclpy = sys.modules.get("rclpy")
         if rclpy is not None:
             rclpy.try_shutdown()
+
+
+def _drive(name: str, make: Callable[[Any], Program], arguments: list[str], stop: Stop) -> int:
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    with starting():
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        executor = SingleThreadedExecutor()
+        node = rclpy.create_node(name)
+        program = make(node)
+    executor.add_node(node)
+    code = None
+    try:
+        program.start(stop)
+        while not stop.asked:
+            due = program.work()
+            code = program.exit_code
+            if code is not None:
+                break
+            program.wait(executor, due)
+        for _ in range(3):  # answers that are ready
+            executor.spin_once(timeout_sec=0.0)
+    finally:
+        program.close()
+        executor.shutdown()
+        node.destroy_node()
+    return OK if code is None else code

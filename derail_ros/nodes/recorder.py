@@ -1,28 +1,33 @@
-"""The node ``recorder``: hears a simulator's topics and writes a rosbag2 recording."""
+"""The node ``recorder``: records the topics of a simulator in a rosbag2 recording."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from derail_ros.nodes import parameters as table
-from derail_ros.nodes.process import Stop, run_node, starting
+from derail_ros.nodes.declaration import declare
+from derail_ros.nodes.process import OK, Program, Stop, run_node
 from derail_ros.recording.listener import Listener
 from derail_ros.vocabulary.words import count
 from msg_adapters.topics import TOPICS, Topic, check_interfaces, rclpy_class, rclpy_qos
 
 GONE = 3.0
-"""Wall time without any publisher after which the simulator is taken to have ended, s."""
+"""Wall time without any publisher after which the simulator is regarded as gone, s."""
 ROUND = 0.1
-"""Wall time after which the loop looks around even if nothing came, s."""
+"""Wall time after which the loop goes round even if nothing has arrived, s."""
 
 
 def chosen_topics(names: Sequence[str]) -> list[Topic]:
-    """Topics by their names in the table; none: all but the clock.
+    """Topics by their names in the table; without names all but the clock.
 
-    A player makes a clock of its own, so a recorded one would only be in its way.
+    A player publishes a clock of its own, which a recorded one would disturb.
+
+    Raises
+    ------
+    ValueError
+        If there is no such topic.
     """
     if not names:
         return [topic for topic in TOPICS.values() if topic.name != "/clock"]
@@ -31,128 +36,104 @@ def chosen_topics(names: Sequence[str]) -> list[Topic]:
     for name in names:
         topic = known.get(name.rpartition("/")[2])
         if topic is None:
-            raise ValueError(f"topics: no topic {name!r}; there are {', '.join(known)}")
+            raise ValueError(f"topics must be among {', '.join(known)}, got {name!r}")
         topics.append(topic)
     return topics
 
 
-def make_node_class() -> Any:
-    """The node's class; made when it is needed, so that this module imports without ROS."""
-    import rclpy.node
+class Recorder(Program):
+    """Subscriptions that hand their bytes to a :class:`Listener`."""
 
-    class RecorderNode(rclpy.node.Node):  # type: ignore[misc]
-        """Subscriptions that hand their bytes to a :class:`Listener`."""
-
-        def __init__(self) -> None:
-            super().__init__("recorder")
-            values = table.declare(self, table.RECORDER)
-            self.stop_when_final = bool(values["stop_when_final"])
-            self.settle = float(values["settle"])  # type: ignore[arg-type]
-            depth = int(values["depth"])  # type: ignore[arg-type]
-            topics = chosen_topics(values["topics"])  # type: ignore[arg-type]
-            names = {self.resolve_topic_name(topic.name): topic for topic in topics}
-            self.listener = Listener(str(values["path"]), str(values["storage"]), names)
-            self._subscribed = []
-            self._seen = time.monotonic()
-            for name, topic in names.items():
-                subscription = self.create_subscription(
-                    rclpy_class(topic.msgtype),
-                    topic.name,
-                    self._taker(name),
-                    rclpy_qos(topic, max(depth, topic.depth)),
-                    raw=True,
-                )
-                self._subscribed.append((name, subscription))
-            self.get_logger().info(f"recording {len(names)} topics to {values['path']}")
-
-        def _taker(self, name: str) -> Any:
-            # rclpy looks at the signature to decide whether to pass the second argument.
-            def take(data: bytes, info: Any) -> None:
-                self.listener.take(name, data, info)
-
-            return take
-
-        def abandoned(self) -> bool:
-            """Whether there was a simulator, and for a while has been none."""
-            now = time.monotonic()
-            names = [n for n, _ in self._subscribed]
-            # Another simulator elsewhere publishes those of the whole graph too.
-            own = [n for n in names if n not in ("/clock", "/diagnostics")] or names
-            if self.listener.empty or any(self.count_publishers(n) for n in own):
-                self._seen = now
-            return now > self._seen + GONE
-
-        def drain(self) -> int:
-            """Take everything that waits, without a round of the executor for each message."""
-            taken = 0
-            for name, subscription in self._subscribed:
-                with subscription.handle:
-                    while True:
-                        item = subscription.handle.take_message(subscription.msg_type, True)
-                        if item is None:
-                            break
-                        self.listener.take(name, item[0], item[1])
-                        taken += 1
-            return taken
-
-        def tell(self) -> None:
-            """Report what was heard and what was missed."""
-            for path, report in zip(self.listener.closed, self.listener.reports):
-                self.get_logger().info(f"recording closed: {path}")
-                received = sum(counts["received"] for counts in report.values())
-                missed = {n: c for n, c in report.items() if c["lost"] or c["gaps"]}
-                self.get_logger().info(
-                    f"{count(received, 'message')} received"
-                    + ("" if missed else ", no message missed")
-                )
-                for name, counts in missed.items():
-                    self.get_logger().warning(
-                        f"{name}: {count(counts['lost'], 'message')} missed by their numbers, "
-                        f"{counts['gaps']} by their times"
-                    )
-
-    return RecorderNode
-
-
-def _run(stop: Stop, arguments: Sequence[str]) -> int:
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-
-    with starting():
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    def __init__(self, node: Any) -> None:
+        super().__init__(node)
         check_interfaces()
-        executor = SingleThreadedExecutor()
-        node = make_node_class()()
-    executor.add_node(node)
-    try:
-        while not stop.asked:
-            executor.spin_once(timeout_sec=ROUND)
-            node.drain()
-            node.listener.release()
-            if node.stop_when_final:
-                if node.listener.complete(node.settle):
-                    break
-                if node.abandoned():
-                    node.get_logger().warning("the simulator is gone, without a final outcome")
-                    break
-        node.drain()
-    finally:
-        node.listener.close()
-        node.tell()
-        executor.shutdown()
-        node.destroy_node()
-    return 0
+        values: dict[str, Any] = declare(node, "recorder")
+        self._stop_when_final = values["stop_when_final"]
+        self._settle = values["settle"]
+        self._path = values["path"]
+        topics = {node.resolve_topic_name(t.name): t for t in chosen_topics(values["topics"])}
+        self._listener = Listener(self._path, values["storage"], topics)
+        self._subscriptions = {
+            name: node.create_subscription(
+                rclpy_class(topic.msgtype),
+                topic.name,
+                self._taker(name),
+                rclpy_qos(topic, max(values["depth"], topic.depth)),
+                raw=True,
+            )
+            for name, topic in topics.items()
+        }
+        self._published = time.monotonic()
 
+    def _taker(self, name: str) -> Callable[[bytes, Any], None]:
+        # rclpy looks at the signature to decide whether to pass the second argument.
+        def take(data: bytes, info: Any) -> None:
+            self._listener.take(name, data, info)
 
-def usage() -> str:
-    """Help on the command line."""
-    return table.usage("recorder", "[--ros-args -p NAME:=VALUE ...]", table.RECORDER)
+        return take
+
+    def start(self, stop: Stop) -> None:
+        """Say what is recorded."""
+        self.log.info(f"recording {len(self._subscriptions)} topics to {self._path}")
+
+    def work(self) -> float:
+        """Record what has arrived."""
+        self._drain()
+        self._listener.release()
+        return time.monotonic() + ROUND
+
+    def _drain(self) -> None:
+        """Take all messages that wait, without a round of the executor for each of them."""
+        for name, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while True:
+                    item = subscription.handle.take_message(subscription.msg_type, True)
+                    if item is None:
+                        break
+                    self._listener.take(name, item[0], item[1])
+
+    @property
+    def exit_code(self) -> int | None:
+        """Set when the run is recorded whole, or when its simulator is gone."""
+        if not self._stop_when_final:
+            return None
+        if self._listener.complete(self._settle):
+            return OK
+        if self._abandoned():
+            self.log.warning("the simulator is gone; there is no final outcome")
+            return OK
+        return None
+
+    def _abandoned(self) -> bool:
+        """Whether there was a simulator, and for a while has been none."""
+        now = time.monotonic()
+        # A simulator elsewhere publishes the topics of the whole graph too.
+        own = [n for n in self._subscriptions if n not in ("/clock", "/diagnostics")]
+        own = own or list(self._subscriptions)
+        if self._listener.empty or any(self.node.count_publishers(n) for n in own):
+            self._published = now
+        return now > self._published + GONE
+
+    def close(self) -> None:
+        """Close the recording and report what was received and missed."""
+        self._drain()
+        self._listener.close()
+        for path, report in zip(self._listener.closed, self._listener.reports):
+            self.log.info(f"recording closed: {path}")
+            received = sum(counts["received"] for counts in report.values())
+            missed = {name: c for name, c in report.items() if c["lost"] or c["gaps"]}
+            nothing = "" if missed else ", no message missed"
+            self.log.info(f"{count(received, 'message')} received{nothing}")
+            for name, counts in missed.items():
+                self.log.warning(
+                    f"{name}: {count(counts['lost'], 'message')} missed by their sequence "
+                    f"numbers, {counts['gaps']} by their times"
+                )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is told to end; returns the exit code."""
-    return run_node(_run, argv, usage)
+    return run_node("recorder", Recorder, argv)
 
 
 if __name__ == "__main__":

@@ -220,6 +220,23 @@ class Graph:
             self.until(lambda f=full: self.node.count_publishers(f), f"{full} has a publisher")
         return self.heard
 
+    def of_run(self, topic: str, run_id: str) -> list[Any]:
+        """Messages of one run. Those of a run before may come late: a listener can lag behind."""
+        return [m for m in self.heard[topic] if m.run_id == run_id]
+
+    def goes_on(self, run_id: str, seconds: float = 0.2) -> None:
+        """Wait until a run has gone on for a while."""
+        self.until(lambda: self.of_run("train_state", run_id), "a state of the run")
+        at = self.of_run("train_state", run_id)[-1].time
+        self.reaches(run_id, at + seconds)
+
+    def reaches(self, run_id: str, seconds: float) -> None:
+        """Wait until a run has reached a run time."""
+        self.until(
+            lambda: any(m.time >= seconds - 1e-9 for m in self.of_run("train_state", run_id)),
+            f"the run reaches {seconds} s",
+        )
+
     # --- asking ------------------------------------------------------------------------------
 
     def client(self, service: str, node: str = "/simulator") -> Any:

@@ -18,7 +18,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from derail_ros.nodes.process import Stop, service_qos
+from derail_ros.nodes.process import Stop
+from derail_ros.nodes.serving import service_qos
 from tests.nodes.graph import SERVICES
 from tests.nodes.support import SMALL
 

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("derail_msgs")
 
 from derail_ros.cli import main
-from derail_ros.nodes.process import sweep_shared_memory
+from derail_ros.nodes.shared_memory import sweep
 from derail_ros.recording import read_manifest
 from derail_ros.recording.storage import open_bag
 from msg_adapters.common import stamp_of
@@ -189,7 +189,7 @@ def test_only_segments_that_nobody_holds_are_swept_up(tmp_path) -> None:
         os.utime(tmp_path / other, (0, 0))
     with (tmp_path / f"{names[2]}_el").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        assert sweep_shared_memory(tmp_path) == 1
+        assert sweep(tmp_path) == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
         [
             names[1],
@@ -201,4 +201,4 @@ def test_only_segments_that_nobody_holds_are_swept_up(tmp_path) -> None:
             "somebody_el",
         ]
     )
-    assert sweep_shared_memory(tmp_path / "nowhere") == 0
+    assert sweep(tmp_path / "nowhere") == 0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
 
-from derail_ros.nodes import simulator
-from derail_ros.nodes.simulator import PER_RUN, RETIRED_MOST, NodeOutput
+from derail_ros.nodes import outputs
+from derail_ros.nodes.outputs import RETIRED_MOST, Outputs
 from msg_adapters.topics import TOPICS
 
 
@@ -35,10 +36,11 @@ class Bench:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
         self.made: dict[str, list[Publisher]] = {}
-        monkeypatch.setattr(simulator, "time", SimpleNamespace(monotonic=lambda: self.now))
-        monkeypatch.setattr(simulator, "_acknowledged", lambda p, _: p.acknowledged)
-        monkeypatch.setattr(NodeOutput, "_publisher", lambda _, topic: self._make(topic.name))
-        self.output = NodeOutput(SimpleNamespace(destroy_publisher=self._destroy))
+        monkeypatch.setattr(outputs, "time", SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr(outputs, "acknowledged", lambda p, _: p.acknowledged)
+        self.output = Outputs(SimpleNamespace(destroy_publisher=self._destroy))
+        for topic in TOPICS.values():
+            self.output.open(topic.name, partial(self._make, topic.name), topic.latched)
 
     def _make(self, name: str) -> Publisher:
         publisher = Publisher(name)
@@ -59,16 +61,15 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
 
 
 def test_each_latched_topic_begins_anew_with_a_run(bench: Bench) -> None:
-    assert set(PER_RUN) == {topic.name for topic in TOPICS.values() if topic.latched}
-    bench.output.begin_run()
+    bench.output.renew()
     for name, publishers in bench.made.items():
-        assert len(publishers) == (2 if name in PER_RUN else 1), name
+        assert len(publishers) == (2 if TOPICS[name].latched else 1), name
 
 
 def test_a_new_run_waits_for_those_who_heard_the_last_one(bench: Bench) -> None:
     first = bench.outcomes()[0]
     first.matched = 2
-    bench.output.begin_run()
+    bench.output.renew()
     bench.output.publish("outcome", b"new")
     second = bench.outcomes()[1]
     second.matched = 1
@@ -83,7 +84,7 @@ def test_an_old_publisher_stays_until_everything_has_arrived(bench: Bench) -> No
     first = bench.outcomes()[0]
     first.matched = 1
     bench.output.publish("outcome", b"final")
-    bench.output.begin_run()
+    bench.output.renew()
     bench.now += 5.0
     bench.output.pump()
     assert not first.destroyed
@@ -95,10 +96,10 @@ def test_an_old_publisher_stays_until_everything_has_arrived(bench: Bench) -> No
 def test_a_run_that_is_replaced_at_once_still_tells_its_end(bench: Bench) -> None:
     """Nobody has matched its publisher yet: that nothing waits for an answer proves nothing."""
     bench.outcomes()[0].matched = 1
-    bench.output.begin_run()
+    bench.output.renew()
     bench.output.publish("outcome", b"first of the second run")
     bench.output.publish("outcome", b"final of the second run")
-    bench.output.begin_run()
+    bench.output.renew()
     second = bench.outcomes()[1]
     second.acknowledged = True
     bench.output.pump()
@@ -111,7 +112,7 @@ def test_a_run_that_is_replaced_at_once_still_tells_its_end(bench: Bench) -> Non
 def test_subscribers_that_never_answer_keep_no_publisher_for_ever(bench: Bench) -> None:
     bench.outcomes()[0].matched = 1
     for _ in range(3 * RETIRED_MOST):
-        bench.output.begin_run()
+        bench.output.renew()
     alive = [p for p in bench.outcomes() if not p.destroyed]
     assert len(alive) == RETIRED_MOST + 1
     bench.now += 60.0

@@ -311,7 +311,7 @@ def test_it_is_never_the_second_publisher_of_the_clock(tmp_path, bag) -> None:
         both = (first, second)
         made.until(lambda: any("publishes /clock" in p.output for p in both), "one gives way")
         made.until(lambda: made.node.count_publishers("/clock") == 1, "one is left")
-        made.until(lambda: any("both will mix" in p.output for p in both), "it warns")
+        made.until(lambda: any("subscribers get both" in p.output for p in both), "it warns")
 
 
 @pytest.mark.ros
@@ -332,7 +332,7 @@ def test_mistakes_are_told_in_a_line(tmp_path) -> None:
     pytest.importorskip("rclpy")
     pytest.importorskip("derail_msgs")
     for arguments, text in (
-        ([], "path: name the recording"),
+        ([], "path must name a recording"),
         (["-p", f"path:={tmp_path / 'nothing'}"], "no such file"),
     ):
         done = subprocess.run(

@@ -11,13 +11,12 @@ import pytest
 
 from derail_ros.cli import main
 from derail_ros.engine import PlanarSimulation
-from derail_ros.nodes.core import Settings, SimulatorCore
 from derail_ros.recording import read_manifest, record_run
 from derail_ros.recording.recomputation import collect
 from derail_ros.recording.repair import repair
 from derail_ros.recording.storage import BagError, open_bag
+from tests.nodes.bench import Simulator
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL, ready, small
-from tests.nodes.test_core import Heard
 
 LIVE = SMALL.replace("count: 10", "count: 24")
 """Piles up, and has cars on the rails for a client to stop and to derail."""
@@ -103,24 +102,20 @@ def test_a_live_run_with_a_clients_breaks_and_brakes(tmp_path, capsys) -> None:
 
 def test_stopped_reset_and_failed_runs(tmp_path, capsys) -> None:
     """Each run of a recording, however it ended."""
-    core = SimulatorCore(Settings(speed_factor=0.0, record=str(tmp_path / "bag")), Heard())
+    made = Simulator(speed_factor=0.0, record=str(tmp_path / "bag"))
+    core, step = made.core, made.step
 
-    def step(ticks: int) -> None:
-        core.step_simulation(ticks, lambda _: None)
-        while core._stepping is not None:
-            core.work()
-
-    core.load(ready(ENDLESS), {}, start_paused=True)
+    core.load(ready(ENDLESS), {"start_paused": True})
     step(20)
     core.inject_rail_break(float("nan"), 2)
     step(30)
     core.reset(0)
     core.trigger_emergency_brake(1, 2, 0, 0.1)
     step(9)
-    core.load(ready(OFF_THE_TRACK), {}, start_paused=True)
+    core.load(ready(OFF_THE_TRACK), {"start_paused": True})
     core.inject_rail_break(float("nan"), 0)
     step(10**6)
-    core.load(ready(SMALL), {}, start_paused=True)
+    core.load(ready(SMALL), {"start_paused": True})
     step(10**6)
     core.close()
     code, answer = replay(tmp_path / "bag", capsys)
@@ -143,13 +138,9 @@ def _commands_on_disk(bag: Path) -> int:
 
 def test_a_recording_that_was_cut_off(tmp_path, capsys) -> None:
     """Its manifest was written at the beginning; the command log in it knows the rest."""
-    core = SimulatorCore(Settings(speed_factor=0.0, record=str(tmp_path / "bag")), Heard())
-    core.load(ready(ENDLESS), {}, start_paused=True)
-
-    def step(ticks: int) -> None:
-        core.step_simulation(ticks, lambda _: None)
-        while core._stepping is not None:
-            core.work()
+    made = Simulator(speed_factor=0.0, record=str(tmp_path / "bag"))
+    core, step = made.core, made.step
+    core.load(ready(ENDLESS), {"start_paused": True})
 
     step(20)
     core.inject_rail_break(float("nan"), 2)
@@ -174,15 +165,12 @@ def test_a_recording_without_a_manifest(tmp_path, capsys) -> None:
     """
     from derail_ros.recording.files import add_topic, bag_writer
 
-    core = SimulatorCore(Settings(speed_factor=0.0, record=str(tmp_path / "own")), Heard())
-    core.load(ready(LIVE), {}, start_paused=True)
-    core.step_simulation(40, lambda _: None)
-    while core._stepping is not None:
-        core.work()
+    made = Simulator(speed_factor=0.0, record=str(tmp_path / "own"))
+    core, step = made.core, made.step
+    core.load(ready(LIVE), {"start_paused": True})
+    step(40)
     core.trigger_emergency_brake(1, 2, 0, 0.1)
-    core.step_simulation(10**6, lambda _: None)
-    while core._stepping is not None:
-        core.work()
+    step(10**6)
     core.close()
     for name, left_out in (("heard", "manifest"), ("silent", "command_log"), ("no", "consist")):
         with bag_writer(tmp_path / name, "mcap") as writer:

@@ -1,0 +1,83 @@
+"""Scenarios for a simulator: by name or as text from a client, with limits; ready to run."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+
+from derail_ros import models
+from derail_ros.recording import session
+from derail_ros.recording.session import Prepared
+from derail_ros.scenario import Scenario, ScenarioError, load_scenario_by_name, loads_scenario
+from derail_ros.vocabulary.errors import DerailError
+
+MAX_CARS = 1000
+MAX_YAML = 256 * 1024
+"""Bytes of a scenario that a client sends."""
+
+
+@functools.cache
+def warm_up(model: str) -> None:
+    """Do what a model's engine does once a process (compile or load kernels).
+
+    Raises
+    ------
+    ParameterError
+        There is no such model.
+    """
+    models.engine(model).warm_up()
+
+
+def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
+    """A scenario by its name or from its text; no path from a client is opened.
+
+    Raises
+    ------
+    ValueError
+        With the reason for which it is refused.
+    """
+    if bool(name) == bool(text):
+        raise ValueError("give either scenario_name or scenario_yaml")
+    if len(text.encode()) > MAX_YAML:
+        raise ValueError("scenario_yaml is over 256 KB")
+    try:
+        scenario = loads_scenario(text, dirs=dirs) if text else load_scenario_by_name(name, dirs)
+    except ScenarioError as error:
+        raise ValueError(str(error)) from error
+    if scenario.n_cars > MAX_CARS:
+        raise ValueError(f"the train must have at most {MAX_CARS} cars, got {scenario.n_cars}")
+    return scenario
+
+
+def prepare(
+    name: str, text: str, speed_kmh: float, *, dirs: Sequence[str], frame_id: str
+) -> Prepared:
+    """Read a scenario and make it ready to run; may be called from any thread.
+
+    Parameters
+    ----------
+    name, text : one of them, the other ""
+    speed_kmh : initial speed instead of the scenario's; 0 or NaN: the scenario's
+    dirs : folders of scenarios
+    frame_id : frame of its messages
+
+    Raises
+    ------
+    ValueError
+        With the reason for which it is refused.
+    """
+    scenario = read(name, text, dirs)
+    if math.isinf(speed_kmh) or speed_kmh < 0.0:
+        raise ValueError(f"speed_kmh must be a finite number from 0 up, got {speed_kmh}")
+    try:
+        warm_up(scenario.model.model)
+        prepared = session.prepare(scenario, speed_kmh)
+    except (ScenarioError, DerailError) as error:
+        raise ValueError(str(error)) from error
+    if text:
+        # It has no name. A name with a blank in it is that of no scenario file.
+        prepared = dataclasses.replace(prepared, name=f"{scenario.title} (inline)")
+    prepared.warm(frame_id)
+    return prepared

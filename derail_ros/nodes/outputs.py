@@ -1,0 +1,220 @@
+"""Publishers of a node. Messages are bytes; latched topics begin anew when they are told to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from msg_adapters.common import NANOSECONDS
+from msg_adapters.topics import rclpy_class
+
+MATCH_WAIT = 1.0
+"""Wall time for which the first messages of a renewed topic wait for its subscribers, s."""
+RETIRE_WAIT = 8.0
+"""Wall time for which a replaced publisher waits until everything has arrived, s. What was lost on
+the way is sent again with the next heartbeat, every 3 s."""
+RETIRED_MOST = 8
+"""Replaced publishers that a topic keeps at most, for subscribers that never answer."""
+LISTENERS_WAIT = 10.0
+"""Wall time for which a node waits for listeners (parameter await_listeners), s."""
+FIRST_WAIT = 5.0
+"""Wall time for which it then waits until its first messages have arrived, s."""
+NOT_AWAITED = ("clock", "diagnostics", "markers")
+"""Topics whose last message nobody needs: the end does not wait for them."""
+
+
+class Output(Protocol):
+    """Where messages go; :class:`Outputs` on a graph."""
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message."""
+
+    def renew(self) -> None:
+        """Forget the latched messages: late subscribers get nothing older than this."""
+
+
+def make_publisher(node: Any, name: str, msgtype: str, qos: Any) -> Any:
+    """A publisher whose QoS can be overridden by parameters.
+
+    Raises
+    ------
+    ImportError, AttributeError, ValueError
+        If the message type is not installed.
+    """
+    from rclpy.event_handler import PublisherEventCallbacks
+    from rclpy.qos_overriding_options import QoSOverridingOptions
+
+    # Without the handlers of incompatible QoS: the executor looks at each of them in each round,
+    # which is half of its cost. Subscribers are told on their side.
+    return node.create_publisher(
+        rclpy_class(msgtype),
+        name,
+        qos,
+        event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+    )
+
+
+def acknowledged(publisher: Any, seconds: float) -> bool:
+    """Whether all subscribers have everything, after waiting for at most this long."""
+    from rclpy.duration import Duration
+
+    return bool(publisher.wait_for_all_acked(Duration(nanoseconds=int(seconds * NANOSECONDS))))
+
+
+@dataclass
+class _Retired:
+    """A replaced publisher, and who has to get what it sent."""
+
+    publisher: Any
+    expected: int
+    until: float
+
+
+@dataclass
+class _Channel:
+    """The publisher of a topic; for a latched one also those that it has replaced."""
+
+    make: Callable[[], Any]
+    latched: bool
+    publisher: Any
+    retired: list[_Retired] = field(default_factory=list)
+    waiting: list[bytes] = field(default_factory=list)
+    expected: int = 0
+    until: float = 0.0
+
+
+class Outputs:
+    """Publishers by the names of their topics.
+
+    Latched topics can be renewed. With one publisher for all runs, the last outcome of a run that
+    a command ends (depth 1) would be overwritten by the first one of the next run before a slow
+    subscriber has received it; the same holds for the train and the track.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._channels: dict[str, _Channel] = {}
+
+    def open(self, name: str, make: Callable[[], Any], latched: bool = False) -> None:
+        """Publish a topic; ``make`` makes its publisher."""
+        self._channels[name] = _Channel(make, latched, make())
+
+    def close(self, name: str) -> None:
+        """Publish a topic no longer."""
+        self._node.destroy_publisher(self._channels.pop(name).publisher)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._channels)
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message; nothing happens if the topic is not open."""
+        channel = self._channels.get(name)
+        if channel is None:
+            return
+        if channel.until:
+            channel.waiting.append(data)
+            self._release(channel)
+        else:
+            channel.publisher.publish(data)
+
+    def subscribers(self, name: str) -> int:
+        """Number of matched subscribers of a topic."""
+        return int(self._channels[name].publisher.get_subscription_count())
+
+    # --- renewal -----------------------------------------------------------------------------
+
+    def renew(self) -> None:
+        """Replace the publishers of latched topics: late subscribers get nothing older.
+
+        A new publisher waits until it has matched as many subscribers as the old one had.
+        """
+        now = time.monotonic()
+        for channel in self._channels.values():
+            if not channel.latched:
+                continue
+            old = channel.publisher
+            for data in channel.waiting:
+                old.publish(data)
+            channel.waiting.clear()
+            # A publisher that is young itself may not have matched all of them yet.
+            count = old.get_subscription_count()
+            channel.expected = max(count, channel.expected) if channel.until else count
+            channel.publisher = channel.make()
+            channel.until = now + MATCH_WAIT
+            channel.retired.append(_Retired(old, channel.expected, now + RETIRE_WAIT))
+            while len(channel.retired) > RETIRED_MOST:
+                self._node.destroy_publisher(channel.retired.pop(0).publisher)
+
+    def pump(self) -> bool:
+        """Send what waits and destroy what is done; returns whether anything is left to do."""
+        busy = False
+        for channel in self._channels.values():
+            if channel.until:
+                self._release(channel)
+            if channel.retired:
+                channel.retired = [each for each in channel.retired if not self._retire(each)]
+            busy = busy or bool(channel.until) or bool(channel.retired)
+        return busy
+
+    def _release(self, channel: _Channel) -> None:
+        matched = channel.publisher.get_subscription_count() >= channel.expected
+        if matched or time.monotonic() >= channel.until:
+            channel.until = 0.0
+            for data in channel.waiting:
+                channel.publisher.publish(data)
+            channel.waiting.clear()
+
+    def _retire(self, retired: _Retired) -> bool:
+        """Destroy a replaced publisher once everything has arrived; whether it is gone."""
+        publisher = retired.publisher
+        matched = publisher.get_subscription_count() >= retired.expected
+        if not (matched and acknowledged(publisher, 0.0)) and time.monotonic() < retired.until:
+            return False
+        self._node.destroy_publisher(publisher)
+        return True
+
+    def settle(self, seconds: float) -> None:
+        """Wait until everything sent has arrived, for at most this long (s)."""
+        end = time.monotonic() + seconds
+        while self.pump() and time.monotonic() < end:
+            time.sleep(0.01)
+        for name, channel in self._channels.items():
+            if name.rpartition("/")[2] not in NOT_AWAITED:
+                acknowledged(channel.publisher, max(0.0, end - time.monotonic()))
+
+
+class ListenerWait:
+    """Holds back the first message until enough nodes listen (parameter ``await_listeners``).
+
+    A subscriber that has matched here may not have matched there yet: its first messages are sent
+    again until it has, but only as many as the depth. So a node that has waited for listeners
+    sends its first messages, lets them settle for ``FIRST_WAIT`` and then goes on.
+
+    Parameters
+    ----------
+    count : gives the number of subscribers that are there
+    wanted : number of subscribers to wait for
+    log : the node's logger
+    """
+
+    def __init__(self, count: Callable[[], int], wanted: int, log: Any) -> None:
+        self.came = False
+        self._count, self._wanted, self._log = count, wanted, log
+        self._until = time.monotonic() + LISTENERS_WAIT
+
+    def over(self) -> bool:
+        """Whether the wait is over: the listeners are there, or time is up."""
+        count = self._count()
+        if count >= self._wanted:
+            self.came = self._wanted > 0
+            return True
+        if time.monotonic() < self._until:
+            return False
+        found = f"only {count} of {self._wanted}" if count else "no"
+        self._log.warning(
+            f"{found} subscribers appeared within {LISTENERS_WAIT:.0f} s; starting anyway"
+        )
+        return True
