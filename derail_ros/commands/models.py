@@ -334,8 +334,6 @@ def compare_models(
 
             runs.append(comparison.compare(train.to_params(), chosen, progress=show))
     title = scenario.title
-    if settings:
-        title += f" ({', '.join(settings)})"
     answers = [
         {
             e.model: {"error": e.error}

@@ -13,7 +13,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ from derail_ros.scenario.resolve import (
     train_params,
 )
 from derail_ros.scenario.rolling_stock import RollingStock, load_rolling_stock
-from derail_ros.scenario.schema import FORMAT_VERSION, ScenarioModel
+from derail_ros.scenario.schema import FORMAT_VERSION, TITLE_LENGTH, ScenarioModel
 from derail_ros.scenario.strict_yaml import (
     MAX_DEPTH,
     Document,
@@ -73,6 +73,8 @@ class Scenario:
     _resolved: Resolved = field(repr=False)
     _document: Document = field(repr=False)
     _stock: RollingStock = field(repr=False)
+    _origin: Scenario | None = field(default=None, repr=False)
+    _changes: frozenset[str] = field(default=frozenset(), repr=False)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Scenario):
@@ -84,7 +86,7 @@ class Scenario:
 
     @property
     def title(self) -> str:
-        """What it is, in a line."""
+        """What it is, in a line; after :meth:`with_overrides` with the changed settings."""
         return self.model.title
 
     @property
@@ -117,6 +119,10 @@ class Scenario:
         text = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @cached_property
+    def _known(self) -> dict[str, Any]:
+        return self.resolved()
+
     def to_params(self) -> TrainParams:
         """Parameters of the engine, SI units."""
         return train_params(self._resolved)
@@ -139,6 +145,9 @@ class Scenario:
         inertia was given for the mass before, the inertia changes in proportion, unless it is
         overridden too.
 
+        The title of the copy names the settings that differ, for example ``Base train
+        (train.speed_kmh = 30)``, unless ``overrides`` gives a title.
+
         Parameters
         ----------
         overrides
@@ -153,7 +162,15 @@ class Scenario:
             reason = f"must be a mapping of dotted paths to values, got {type(overrides).__name__}"
             raise ScenarioError(self.name, None, "overrides", reason)
         marks = {path: Mark(self.name, None) for path in overrides}
-        return self._with(overrides, marks)
+        changed = self._with(overrides, marks)
+        if "title" in overrides:
+            return changed
+        origin, paths = self._origin or self, self._changes | set(overrides)
+        title = _title_with(origin, changed, sorted(paths))
+        model = changed.model.model_copy(update={"title": title})
+        changed._document.data["title"] = title
+        resolved = replace(changed._resolved, model=model)
+        return replace(changed, model=model, _resolved=resolved, _origin=origin, _changes=paths)
 
     def _with(self, overrides: Mapping[str, Any], marks: Mapping[str, Mark]) -> Scenario:
         old = self._document
@@ -425,6 +442,35 @@ def _put(data: dict[str, Any], path: Path, value: Any, mark: Mark) -> None:
             here[step] = value
         else:
             here = here[step]
+
+
+def _title_with(origin: Scenario, changed: Scenario, paths: Iterable[str]) -> str:
+    """The title of ``origin`` and the values at ``paths`` that differ from it, if they fit."""
+    settings = []
+    for path in paths:
+        before, now = (_get(s._document.data, path) for s in (origin, changed))
+        if now == (_get(origin._known, path) if before is None else before):
+            continue
+        short = now is None or isinstance(now, (bool, int, float, str))
+        value = now if isinstance(now, str) else shown(now)
+        settings.append(f"{path} = {value}" if short else f"{path} changed")
+    for n in range(len(settings), 0, -1):
+        more = [f"{len(settings) - n} more"] if n < len(settings) else []
+        title = f"{origin.title} ({', '.join([*settings[:n], *more])})"
+        if len(title) <= TITLE_LENGTH:
+            return title
+    number = f" ({len(settings)} changed)" if settings else ""
+    return origin.title[: TITLE_LENGTH - len(number)] + number
+
+
+def _get(data: Any, path: str) -> Any:
+    """The value at a dotted path of plain data; None where there is none."""
+    for step in path.split("."):
+        if isinstance(data, list):
+            data = data[int(step)] if step.isdigit() and int(step) < len(data) else None
+        else:
+            data = data.get(step) if isinstance(data, dict) else None
+    return data
 
 
 def _bad_path(path: Path, mark: Mark, reason: str) -> ScenarioError:

@@ -53,7 +53,8 @@ Integer = Annotated[int, Field(strict=True)]
 Switch = Annotated[bool, Field(strict=True)]
 CarNumber = Annotated[int, Field(strict=True, ge=1, le=MAX_CARS)]
 Text = Annotated[str, StringConstraints(strict=True, max_length=4000)]
-Title = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=120)]
+TITLE_LENGTH = 120
+Title = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=TITLE_LENGTH)]
 Label = Annotated[str, StringConstraints(strict=True, max_length=60)]
 TypeName = Annotated[
     str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,59}$")

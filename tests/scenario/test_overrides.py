@@ -410,3 +410,28 @@ def test_overrides_that_are_no_mapping(overrides, kind):
 def test_a_list_of_one_has_one_entry():
     with pytest.raises(ScenarioError, match="it has 1 entry, numbered from 0"):
         load_scenario("base_train").with_overrides({"train.consist.3.mass_kg": 1e4})
+
+
+def test_the_title_names_the_changed_settings():
+    slow = BASE.with_overrides({"train.speed_kmh": 30})
+    assert slow.title == f"{BASE.title} (train.speed_kmh = 30)"
+    assert slow.resolved()["title"] == slow.title
+    both = slow.with_overrides({"ground.scale": 1.5, "contact.gap_law": "lorentzian"})
+    assert both.title == (
+        f"{BASE.title} (contact.gap_law = lorentzian, ground.scale = 1.5, train.speed_kmh = 30)"
+    )
+    assert slow.with_overrides({"train.speed_kmh": 40}).title.endswith(" (train.speed_kmh = 40)")
+    assert slow.with_overrides({"title": "Mine"}).title == "Mine"
+    listed = BASE.with_overrides({"track.rail_breaks": [5]})
+    assert listed.title == f"{BASE.title} (track.rail_breaks changed)"
+    assert BASE.with_overrides({}).title == BASE.title
+
+
+def test_a_title_with_many_changed_settings_keeps_within_its_length():
+    paths = [path for path, value, *_ in PATHS if isinstance(value, (int, float))]
+    many = {path: value for path, value, *_ in PATHS if path in paths[20:32]}
+    title = BASE.with_overrides(many).title
+    assert len(title) <= 120
+    assert title.startswith(f"{BASE.title} (") and title.endswith(" more)")
+    long = BASE.with_overrides({"title": "x" * 119}).with_overrides({"train.speed_kmh": 30})
+    assert long.title == "x" * 108 + " (1 changed)"
