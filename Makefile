@@ -64,7 +64,7 @@ EXTRAS := ros,studies,dev
 PARTS := $(STAMPS)/msgs $(STAMPS)/project-$(EXTRAS)
 endif
 
-.PHONY: help env run lint test test-plain test-ros verify bench clean
+.PHONY: help env run lint test test-plain test-ros verify bench pages clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -142,6 +142,10 @@ bench: env  ## measure, and print the tables of the documentation
 	  $(call pip,bench,install --constraint constraints.txt --editable '.[bench]'); }
 	@shopt -s nullglob; for file in benchmarks/bench_*.py; do \
 	  echo "== $$file"; $(BIN)/python "$$file"; done
+
+REPORTS ?=
+pages: env  ## write the generated pages and figures of docs/ anew (hours); REPORTS: files of accident reports
+	$(BIN)/python -m research all $(REPORTS)
 
 clean:  ## remove the environment, builds and caches
 	rm -rf $(VENV) build install log dist derail_msgs/build *.egg-info \

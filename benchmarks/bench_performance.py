@@ -167,14 +167,14 @@ def pile_ups() -> tuple[list[dict[str, Any]], float]:
 def ensemble(members: int) -> dict[str, Any]:
     """(f): many runs of (a) on all cores, threads in this process."""
     from derail_ros.scenario import load_scenario_by_name
-    from derail_ros.studies.ensemble import default_jobs, ensemble_runs, run_many
+    from derail_ros.studies.ensemble import default_jobs, ensemble_jobs, run_many
 
     scenario = load_scenario_by_name("mississauga_published")
     rates = {}
     for jobs, count in ((1, max(20, members // 10)), (default_jobs(), members)):
         began = time.perf_counter()
         spent = time.process_time()
-        done = sum(r.error is None for r in run_many(ensemble_runs(scenario, count), jobs=jobs))
+        done = sum(r.error is None for r in run_many(ensemble_jobs(scenario, count), jobs=jobs))
         rates[jobs] = done / (time.perf_counter() - began)
         per_run = (time.process_time() - spent) / done
     jobs = default_jobs()

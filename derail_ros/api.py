@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from derail_ros.studies.results import StudyResults
+
 if TYPE_CHECKING:
+    import pandas
+
     from derail_ros.scenario import Scenario
     from derail_ros.studies.plan import Study
-    from derail_ros.studies.results import StudyResults
     from derail_ros.vocabulary.outcome import Outcome
 
 
@@ -42,10 +46,53 @@ def simulate(
         If the run failed.
     """
     from derail_ros.scenario import Scenario, load_scenario
-    from derail_ros.studies.ensemble import Run, compute
+    from derail_ros.studies.ensemble import Job, compute
 
     base = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    return compute(Run(base, overrides or {}, member=member, seed=seed))
+    return compute(Job(base, overrides or {}, member=member, seed=seed))
+
+
+class StudyAnswers(StudyResults):
+    """Results of a study (``table``, ``runs``, ``manifest``) and what is asked of them."""
+
+    def summary(self) -> pandas.DataFrame:
+        """Each measure at each point: mean with its interval, spread, quantiles; SI units."""
+        return self._of("summary")
+
+    def counts(self) -> pandas.DataFrame:
+        """Distribution of the number of cars derailed at each point."""
+        return self._of("counts")
+
+    def effects(self) -> pandas.DataFrame:
+        """What each parameter does to each measure; the columns depend on the design."""
+        return self._of("effects")
+
+    def sobol(self) -> pandas.DataFrame:
+        """Sobol indices of each measure (design sobol)."""
+        return self._of("sobol")
+
+    def _of(self, name: str) -> pandas.DataFrame:
+        from derail_ros.studies import statistics
+
+        return getattr(statistics, name)(self)
+
+    def findings(self) -> list[tuple[str, list[str]]]:
+        """What the study says, and where it cannot tell: sentences under a measure's name."""
+        from derail_ros.studies.sentences import findings
+
+        return findings(self)
+
+    def statements(self) -> list[str]:
+        """The findings, each a sentence that names its measure."""
+        from derail_ros.studies.sentences import statements
+
+        return statements(self)
+
+    def report(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the page with figures and tables; its path."""
+        from derail_ros.studies.page import write_report
+
+        return write_report(self, Path(folder))
 
 
 def study(
@@ -59,7 +106,7 @@ def study(
     jobs: int | None = None,
     dask: str | None = None,
     table: str = "parquet",
-) -> StudyResults:
+) -> StudyAnswers:
     """Run a study, or what is missing of it in its folder.
 
     Parameters
@@ -75,7 +122,7 @@ def study(
 
     Returns
     -------
-    StudyResults
+    StudyAnswers
         ``table``, ``summary()``, ``counts()``, ``effects()`` (data frames), ``statements()`` and
         ``report(folder)``.
 
@@ -86,12 +133,10 @@ def study(
     StudyError, ClusterError
         The folder or the cluster cannot be used.
     """
-    from derail_ros.commands.study import default_folder
     from derail_ros.studies.cluster import on_cluster
     from derail_ros.studies.ensemble import run_many
     from derail_ros.studies.plan import Study, load_study, study_from
-    from derail_ros.studies.results import StudyResults
-    from derail_ros.studies.runner import run_study
+    from derail_ros.studies.runner import default_folder, run_study
 
     if isinstance(what, Study):
         plan = what
@@ -102,4 +147,4 @@ def study(
     place = default_folder(plan.name) if folder is None else folder
     runner = on_cluster(dask) if dask else run_many
     run_study(plan, place, jobs=jobs, table=table, run=runner)
-    return StudyResults(place)
+    return StudyAnswers(place)

@@ -113,9 +113,8 @@ def simulate(
     if roll or (model is not None and model not in names()):
         from derail_ros.commands import models as other
 
-        name = "toma" if model in (None, PLANAR) else model
         return other.run(
-            name, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
+            model or PLANAR, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
         )
     from derail_ros.commands import simulate as command
 
@@ -160,9 +159,7 @@ def estimate(
 
 @app.command("compare-models")
 def compare_models(
-    scenario: Annotated[
-        str | None, typer.Argument(help="Name of a scenario, or a YAML file; none with --write.")
-    ] = None,
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
     ] = None,
@@ -177,33 +174,11 @@ def compare_models(
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write the table and a figure."),
     ] = None,
-    write: Annotated[
-        bool,
-        typer.Option(
-            "--write", help="Run ensembles of the page's own cases and write docs/baselines.md."
-        ),
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/baselines.md"
-    ),
-    members: Annotated[
-        int | None,
-        typer.Option("--ensemble", "-n", min=2, help="With --write: runs each (20)."),
-    ] = None,
-    seed: Seed = 0,
-    jobs: Jobs = None,
 ) -> int:
-    """Put this model and those before it to work on one train."""
+    """Run this model and the earlier ones on one train."""
     from derail_ros.commands import models as command
 
-    if write:
-        given = (scenario, settings, models, speeds, output)
-        return command.write_page(
-            to, members or 20, seed, jobs, as_json, any(x is not None for x in given)
-        )
-    return command.compare_models(
-        scenario, settings or [], models or [], speeds, members, as_json, output
-    )
+    return command.compare_models(scenario, settings or [], models or [], speeds, as_json, output)
 
 
 @app.command()
@@ -250,26 +225,14 @@ def accidents(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the choice of trains.")] = 0,
     jobs: Jobs = None,
     as_json: Json = False,
-    write: Annotated[
-        bool,
-        typer.Option(
-            "--write", help="Write docs/accidents.md (or --to) and the shipped averages."
-        ),
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/accidents.md"
-    ),
 ) -> int:
-    """Cars derailed in reported accidents, and what a model makes of the same trains."""
+    """Show the cars derailed in reported accidents; run models on the same trains."""
     from derail_ros.commands import accidents as command
 
     chosen = command.Chosen(broken_rail, tuple(causes or ()), behind, loaded)
     if report is not None:
-        more = chosen != command.Chosen() or bool(models) or as_json or write
+        more = chosen != command.Chosen() or bool(models) or as_json
         return command.print_scenario(reports or [], report, settings or [], more)
-    if write:
-        more = chosen != command.Chosen() or bool(models) or bool(settings) or as_json
-        return command.write_page(reports or [], to, seed, jobs, more)
     return command.run(
         reports or [], chosen, models or [], settings or [], most, seed, jobs, as_json
     )
@@ -309,17 +272,11 @@ def validate(
         typer.Option("--set", metavar="PATH=VALUE", help="Change a value in all cases."),
     ] = None,
     as_json: Json = False,
-    write: Annotated[
-        bool, typer.Option("--write", help="Write docs/validation.md (or --to) as well.")
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/validation.md"
-    ),
 ) -> int:
     """Compare ensembles with the published runs."""
     from derail_ros.commands import validate as command
 
-    return command.run(members, seed, jobs, settings or [], as_json, to if write else None)
+    return command.run(members, seed, jobs, settings or [], as_json)
 
 
 Bag = Annotated[str, typer.Argument(help="A recording: its folder, or a file of it.")]
@@ -460,19 +417,11 @@ def sensitivity(
         list[str] | None, typer.Option("--only", help="A constant; all by default.")
     ] = None,
     as_json: Json = False,
-    write: Annotated[
-        bool, typer.Option("--write", help="Write docs/sensitivity.md (or --to) as well.")
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/sensitivity.md"
-    ),
 ) -> int:
     """Vary each reconstructed constant and form about its default."""
     from derail_ros.commands import sensitivity as command
 
-    return command.run(
-        members, seed, jobs, cases or [], constants or [], as_json, to if write else None
-    )
+    return command.run(members, seed, jobs, cases or [], constants or [], as_json)
 
 
 class _StudyGroup(typer.core.TyperGroup):
@@ -578,19 +527,11 @@ def spread(
     seed: Seed = 0,
     jobs: Jobs = None,
     as_json: Json = False,
-    write: Annotated[
-        bool, typer.Option("--write", help="Write docs/spread.md (or --to) as well.")
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/spread.md"
-    ),
 ) -> int:
     """Show the distributions of outcomes over many runs of a scenario."""
     from derail_ros.commands import spread as command
 
-    return command.run(
-        names or [], settings or [], members, seed, jobs, as_json, to if write else None
-    )
+    return command.run(names or [], settings or [], members, seed, jobs, as_json)
 
 
 @app.command()
@@ -609,19 +550,11 @@ def convergence(
         typer.Option("--rtol", help="A tolerance; 1e-2 to 1e-7 by default."),
     ] = None,
     as_json: Json = False,
-    write: Annotated[
-        bool, typer.Option("--write", help="Write docs/convergence.md (or --to) as well.")
-    ] = False,
-    to: Annotated[Path, typer.Option(help="The page that --write writes.")] = Path(
-        "docs/convergence.md"
-    ),
 ) -> int:
     """Compare ensembles at several tolerances with the tightest."""
     from derail_ros.commands import convergence as command
 
-    return command.run(
-        names or [], members, seed, jobs, tolerances or [], as_json, to if write else None
-    )
+    return command.run(names or [], members, seed, jobs, tolerances or [], as_json)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,7 +24,7 @@ delicate; a step that cannot be taken is the engine's typed error.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,12 @@ from derail_ros.vocabulary.errors import (
     StepSizeError,
     TrackEndError,
 )
+from derail_ros.vocabulary.ledger import residual
+from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.params import GRAVITY, TrainParams
+from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
+from derail_ros.vocabulary.status import AT_REST
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -643,14 +647,12 @@ class AndersonModel:
         """The ledger, J, in the main engine's entries; ``striker`` holds the springs."""
         e = self._state.energy
         kinetic, spring = self._stored()
-        return {
+        ledger = {
             "kinetic": kinetic,
             "striker": spring,
-            "knuckle": 0.0,
             "initial": self._initial,
             "brakes": float(e[L.E_BRAKE]),
             "ground_trucks": float(e[L.E_GROUND_TRUCK]),
-            "ground_body": 0.0,
             "collisions": float(e[L.E_COLLISION]),
             "striker_dampers": float(e[L.E_DAMPER]),
             "knuckles_released": float(e[L.E_KNUCKLE]),
@@ -658,84 +660,57 @@ class AndersonModel:
             "stabilization_net": float(e[L.E_STAB_NET]),
             "stabilization_gross": float(e[L.E_STAB_GROSS]),
         }
+        return ledger | {"residual": residual(ledger)}
 
     def residual(self) -> float:
         """Imbalance of the ledger over the initial energy."""
-        e = self.energy()
-        left = e["initial"] + e["external"] + e["stabilization_net"]
-        taken = ("brakes", "ground_trucks", "collisions", "striker_dampers", "knuckles_released")
-        left -= sum(e[name] for name in taken)
-        return abs(left - e["kinetic"] - e["striker"]) / max(self._initial, 1e-300)
+        return abs(self.energy()["residual"]) / max(self._initial, 1e-300)
 
-    def run(self) -> AndersonOutcome:
+    def run(self) -> Outcome:
         """Go on to the end."""
         self.advance_to(math.inf)
         return self.outcome()
 
-    def outcome(self) -> AndersonOutcome:
-        """What came of the run so far."""
+    def outcome(self) -> Outcome:
+        """What came of the run so far.
+
+        ``car_values``: ``approach_speed_m_per_s``, the largest speed of approach in a collision
+        (the model computes no forces); ``approach_car``, the car
+        on the other side of it, 0 without; ``roll_rad``, the roll estimate, nan for cars that did
+        not come free.
+        """
         from derail_ros.engine.reports import STATUS
 
         s, o = self._state, self._other
         off = (s.truck_on == 0).any(axis=1)
-        corners = car_corners(
-            s.q[:, :3], 2.0 * self._model.car[:, L.HALF_L], 2.0 * self._model.car[:, L.HALF_W]
-        )
+        length, width = (2.0 * self._model.car[:, k] for k in (L.HALF_L, L.HALF_W))
+        corners = car_corners(s.q[:, :3], length, width)
         box = scene_box(self.track, corners[off], s.truck_s[off, 0])
         behind = np.flatnonzero(s.truck_on[:, 0])
         behind = behind[behind > (np.flatnonzero(off)[-1] if off.any() else len(off))]
-        return AndersonOutcome(
-            status=STATUS[int(s.cnt[L.STATUS])],
-            time=self.time,
-            duration=float(s.clock[L.DURATION]),
-            steps=int(s.cnt[L.STEP]),
+        status = STATUS[int(s.cnt[L.STATUS])]
+        return replace(
+            Outcome.nothing(planar(s.q), status, self.time, int(s.cnt[L.STEP])),
+            duration=float(s.clock[L.DURATION]) if status == AT_REST else math.nan,
             rejected_steps=int(s.cnt[L.REJECTED]),
             derailed_cars=tuple(int(i) + 1 for i in np.flatnonzero(off)),
-            parted=tuple(int(i) + 1 for i in np.flatnonzero(self._linked == 0)),
-            scene=box,
-            rear_stop=float(s.truck_s[behind[0], 0]) if len(behind) else math.nan,
+            scene_length=box[0],
+            scene_width=box[1],
+            scene_area=box[2],
             max_truck_offset=float(s.clock[L.MAX_OFFSET]),
-            approach_speed=o[:, O_HIT_V].copy(),
-            approach_other=o[:, O_HIT_OTHER].astype(np.int64),
-            roll=roll_estimates(o[:, O_FREE_V], self.own.roll),
+            derail_time=s.peak[:, L.PK_DERAIL_T].copy(),
+            derail_speed=s.peak[:, L.PK_DERAIL_V].copy(),
+            rear_part_first_car=int(behind[0]) + 1 if len(behind) else 0,
+            rear_part_coordinate=float(s.truck_s[behind[0], 0]) if len(behind) else math.nan,
             energy=self.energy(),
-            residual=self.residual(),
+            energy_residual=self.residual(),
+            train_cars=sum(car.represents for car in self.params.cars),
+            car_values={
+                "approach_speed_m_per_s": o[:, O_HIT_V].copy(),
+                "approach_car": o[:, O_HIT_OTHER].copy(),
+                "roll_rad": roll_estimates(o[:, O_FREE_V], self.own.roll),
+            },
         )
-
-
-@dataclass(frozen=True)
-class AndersonOutcome:
-    """What came of a run; N cars.
-
-    Attributes
-    ----------
-    status, time, duration, steps, rejected_steps, derailed_cars : as of the main engine
-    parted : couplings whose springs were removed, by the car ahead
-    scene : length, width (m), area (m^2)
-    rear_stop : track coordinate of the first front truck on the rails behind the scene, m
-    max_truck_offset : m
-    approach_speed : (N,) largest speed of approach in a collision, m/s; the model's measure of
-        what a car suffered (it knows no forces)
-    approach_other : (N,) car on the other side of it, 0 without
-    roll : (N,) roll estimate, rad; nan for cars that did not come free
-    energy, residual : ledger, J, and its imbalance
-    """
-
-    status: str
-    time: float
-    duration: float
-    steps: int
-    rejected_steps: int
-    derailed_cars: tuple[int, ...]
-    parted: tuple[int, ...]
-    scene: tuple[float, float, float]
-    rear_stop: float
-    max_truck_offset: float
-    approach_speed: F64
-    approach_other: I64
-    roll: F64
-    energy: dict[str, float]
-    residual: float
 
 
 def roll_estimates(free_speed: F64, params: RollParams | None = None) -> F64:
@@ -752,3 +727,10 @@ def roll_estimates(free_speed: F64, params: RollParams | None = None) -> F64:
             for v in speeds.ravel()
         ]
     ).reshape(speeds.shape)
+
+
+def warm_up() -> None:
+    """Compile the kernels."""
+    from derail_ros.scenario import load_scenario
+
+    AndersonModel(load_scenario("base_train").to_params()).advance_to(0.01)

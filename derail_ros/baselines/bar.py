@@ -160,7 +160,7 @@ def bar_case_1(
     r"""Case 1: the whole bar keeps sliding (published figure: mu2 = 0.5, 64 km/h).
 
     ``v0^2 = (g/l) (2 x l mu1 + x^2 (mu2 - mu1))``, see :func:`slide_distance`. The count is cut
-    off at the length of the train; the equation itself does not know that the bar has an end.
+    off at the length of the train, which the equation does not contain.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 r"""The one-dimensional blockage model: cars on the rails brake, the pile pushes back.
 
-The simplest of the published models that know a train: one coordinate, the distance ``x`` (m)
+The simplest of the published models of a train has one coordinate, the distance ``x`` (m)
 that the train has run on since its first car derailed. The cars still on the rails are one mass;
 they brake, and the pile pushes back with a blockage force that grows with speed. One car is lost
 to the pile every ``l`` metres, and the count starts at 1:
@@ -15,7 +15,7 @@ lost is left behind at the train's own speed: no ``v^2`` (see ``bar``).
 
 The constants are a fit to the published speed series of the two-dimensional model (60 cars of
 68 t and 14.1 m at 30, 48, 60, 72 and 90 km/h: 5, 10, 14, 18 and 24 cars); they are not measured,
-and outside of that series they extrapolate. The model knows no single cars, no geometry and no
+and outside of that series they extrapolate. The model has no single cars, no geometry and no
 collisions.
 """
 

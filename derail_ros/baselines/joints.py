@@ -6,8 +6,8 @@ velocities just after it, relative to that of the head, measure how readily the 
 Johnson's bars are equal (a train of 450 t), Guran's are not: heavy cars near the blow make it
 milder.
 
-On a straight chain the transverse motion does not know the longitudinal one. With ``u_j`` (m/s)
-the transverse velocity of joint j (0 the head, N the tail), bar i between joints i and i + 1
+On a straight chain the transverse motion does not depend on the longitudinal one. With ``u_j``
+(m/s) the transverse velocity of joint j (0 the head, N the tail), bar i between joints i and i + 1
 moves with ``(u_i + u_i+1) / 2`` and turns with ``(u_i - u_i+1) / l_i``, so that the kinetic
 energy gives
 
@@ -26,6 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from derail_ros.baselines.train import take_apart
+from derail_ros.vocabulary.params import TrainParams
 
 F64 = NDArray[np.float64]
 
@@ -115,3 +118,11 @@ def joint_velocities(
         impulse=passed[:-1],
         energy=float(0.5 * impulse * joint[0]),
     )
+
+
+def train_bars(params: TrainParams) -> tuple[F64, F64, F64]:
+    """A train as bars: masses (N,), kg, lengths, m, and inertias, kg m^2."""
+    cars = take_apart(params.cars)
+    length = [2.0 * c.pivot_distance + c.front.length + c.rear.length for c in cars]
+    mass, inertia = [c.mass for c in cars], [c.inertia for c in cars]
+    return np.array(mass), np.array(length), np.array(inertia)

@@ -1,6 +1,6 @@
-"""The models by name: each put to work on scenarios gives a record with the same keys and a scene.
+"""The models by name: each run on a scenario gives a record with the same keys, and a scene.
 
-``toma`` is the main model. What a model does not know is ``None`` in its record.
+``planar`` is the main model. What a model does not compute is ``None`` in its record.
 """
 
 from __future__ import annotations
@@ -8,13 +8,15 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from derail_ros.baselines import bar
+from derail_ros.baselines.blockage import blockage
 from derail_ros.baselines.train import (
     ModelError,
     Train,
@@ -22,7 +24,13 @@ from derail_ros.baselines.train import (
     derailing_train,
     is_straight,
 )
-from derail_ros.vocabulary.measures import MEASURES, Record, outcome_record
+from derail_ros.studies.ensemble import Job, Stopped, advance
+from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
+from derail_ros.vocabulary.measures import Record, outcome_record
+from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.params import PLANAR
+from derail_ros.vocabulary.sample import planar
+from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
 from derail_ros.vocabulary.words import finite
 
@@ -31,29 +39,11 @@ if TYPE_CHECKING:
     from derail_ros.vocabulary.params import TrainParams
     from derail_ros.vocabulary.simulation import Simulation
 
-MODELS: dict[str, str] = {
-    "toma": "E. E. Toma 1998, the main model",
-    "yang-manos": "Yang and Manos 1972",
-    "anderson": "Birk, Anderson and Coppens 1990",
-    "roorda-gracie": "Roorda and Gracie 1992",
-    "blockage": "one-dimensional blockage model",
-    "bar-1": "a bar slides from the rails onto the ground",
-    "bar-2": "bar-1, what has gone too far is left behind (published form)",
-    "bar-2-corrected": "bar-2 without the gain of energy",
-    "bar-3": "bar-2 with brakes (published form)",
-    "bar-3-corrected": "bar-3 without the gain of energy",
-}
-"""Name -> what it is."""
+Watch = Callable[[float, int], None]
+"""Called now and then with the time of a run (s) and the number of cars derailed so far."""
 
-VARIED = ("toma", "yang-manos", "anderson")
-"""Models whose outcome knows the initiating lateral force: those that have ensembles."""
-
-CONSTANTS: dict[str, tuple[str, ...]] = {
-    "yang-manos": ("friction", "widening"),
-    "anderson": ("stiffness", "damping", "force_limit", "friction", "restitution"),
-    "roorda-gracie": ("friction", "increment", "start_angle"),
-}
-"""Models with constants of their own that a caller may choose."""
+WHOLE_TRAIN = "whole train derailed"
+"""Status of a run in which the model ran out of cars."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +55,7 @@ class ModelRun:
     model : its name
     record : the outcome, keys as of ``outcome_record``
     scene : the final scene; None for models without a plane
-    notes : what it tells beyond the keys of the record
+    notes : further results, by names with units
     """
 
     model: str
@@ -74,10 +64,63 @@ class ModelRun:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-def blank_record() -> Record:
-    """A record in which nothing is known."""
-    known = {"status": AT_REST, "at_rest": True, "void": False}
-    return dict.fromkeys(MEASURES) | known | {"energy_J": {}, "wall_s": None}
+@dataclass(frozen=True)
+class Request:
+    """How a model is run.
+
+    Attributes
+    ----------
+    roll : add the roll estimate to the notes (``planar``, ``anderson``)
+    constants : of the model itself
+    watch : called now and then, if there is one
+    """
+
+    roll: bool = False
+    constants: Mapping[str, float] = field(default_factory=dict)
+    watch: Watch | None = None
+
+    def go(self, simulation: Any) -> None:
+        """Run a simulation to its end."""
+        watch = self.watch
+        if watch is None:
+            advance(simulation)
+        else:
+            advance(
+                simulation,
+                progress=lambda s: watch(s.time, len(s.outcome().derailed_cars)),
+                slice_s=0.5,
+            )
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model.
+
+    Attributes
+    ----------
+    words : what it is
+    run : runs it on a train: record, scene, notes
+    plane : it gives a final scene
+    varied : its outcome depends on the lateral force that starts the motion: it has ensembles
+    kernels : it is compiled at its first use
+    rolls : it parts couplings, so that the roll of free cars can be estimated
+    constants : of its own that a caller may choose
+    """
+
+    words: str
+    run: Callable[[TrainParams, Request], tuple[Record, Scene | None, dict[str, Any]]]
+    plane: bool = False
+    varied: bool = False
+    kernels: bool = False
+    rolls: bool = False
+    constants: tuple[str, ...] = ()
+
+
+def record_of(outcome: Outcome, unknown: Iterable[str] = (), **known: Any) -> Record:
+    """The record of a model's outcome; ``unknown`` is what it does not compute."""
+    energy = {key: finite(outcome.energy.get(key)) for key in ENERGY_ENTRIES}
+    record = outcome_record(outcome) | dict.fromkeys(unknown) | {"energy_J": energy}
+    return record | {"at_rest": outcome.status in (AT_REST, WHOLE_TRAIN)} | known
 
 
 def run_model(
@@ -86,77 +129,66 @@ def run_model(
     *,
     roll: bool = False,
     constants: Mapping[str, float] | None = None,
-    progress: Callable[[float, int], None] | None = None,
+    progress: Watch | None = None,
 ) -> ModelRun:
-    """Put a model to work on a train.
+    """Run a model on a train.
 
     Parameters
     ----------
     name : of :data:`MODELS`
     params : the engine's parameters of a scenario
-    roll : add the roll estimate to the notes (``toma``, ``anderson``)
-    constants : of the model itself, by the names of ``YangManosParams``, ``AndersonParams`` and
-        the arguments of ``roorda_gracie``; the others have none
-    progress : called now and then with the time of the run (s) and the cars derailed so far
+    roll, constants, progress : see :class:`Request`; constants by the names of
+        ``YangManosParams``, ``AndersonParams`` and the arguments of ``roorda_gracie``
 
     Raises
     ------
     ModelError
-        The model cannot be put to work on this train.
+        The model cannot be run on this train.
     ParameterError, SimulationError
         As of the engine, for the models that use it.
     """
+    name = FORMER.get(name, name)
     if name not in MODELS:
-        raise ModelError(f"unknown model {name!r}; there are {', '.join(MODELS)}")
+        raise ModelError(f"unknown model {name!r}; choose one of {', '.join(MODELS)}")
     own = dict(constants or {})
-    if unknown := sorted(set(own) - set(CONSTANTS.get(name, ()))):
+    if unknown := sorted(set(own) - set(MODELS[name].constants)):
         raise ModelError(f"{name} has no constant {unknown[0]!r}")
     began = time.perf_counter()
-    if name == "toma":
-        run = _toma(params, roll, progress)
-    elif name == "yang-manos":
-        run = _yang_manos(params, own, progress)
-    elif name == "anderson":
-        run = _anderson(params, roll, own, progress)
-    elif name == "roorda-gracie":
-        run = _roorda_gracie(params, own)
-    elif name == "blockage":
-        run = _blockage(params)
-    else:
-        run = _bar(name, params)
-    run.record["wall_s"] = finite(time.perf_counter() - began, 6)
-    return run
+    record, scene, notes = MODELS[name].run(params, Request(roll, own, progress))
+    record["wall_s"] = finite(time.perf_counter() - began, 6)
+    return ModelRun(name, record, scene, notes)
+
+
+def run_job(
+    name: str, job: Job, stop: Callable[[], bool], constants: Mapping[str, float] | None = None
+) -> ModelRun:
+    """Run a model on the train of a job; it is given up when ``stop()`` becomes true."""
+
+    def watch(_t: float, _derailed: int) -> None:
+        if stop():
+            raise Stopped
+
+    return run_model(name, job.params(), constants=constants, progress=watch)
 
 
 # The main engine -----------------------------------------------------------------------------
 
 
-def _go(simulation: Simulation, progress: Callable[[float, int], None] | None) -> None:
-    while not simulation.ended:
-        simulation.advance_to(simulation.time + 0.5)
-        if progress is not None:
-            progress(simulation.time, len(simulation.outcome().derailed_cars))
-
-
-def _toma(
-    params: TrainParams, roll: bool, progress: Callable[[float, int], None] | None
-) -> ModelRun:
+def _planar(params: TrainParams, asked: Request) -> tuple[Record, Scene | None, dict[str, Any]]:
     from derail_ros import models
     from derail_ros.review.scene import scene_from_simulation
 
     simulation = models.build(params)
     notes: dict[str, Any] = {}
-    if roll:
+    if asked.roll:
         from derail_ros.baselines.anderson import roll_estimates
 
         free = free_speeds(simulation)
         notes["roll_deg"] = _degrees(roll_estimates(free))
         notes["free_speed_m_per_s"] = [finite(v, 3) for v in free]
     else:
-        _go(simulation, progress)
-    return ModelRun(
-        "toma", outcome_record(simulation.outcome()), scene_from_simulation(simulation), notes
-    )
+        asked.go(simulation)
+    return outcome_record(simulation.outcome()), scene_from_simulation(simulation), notes
 
 
 def _degrees(angles: NDArray[np.float64]) -> list[float | None]:
@@ -181,240 +213,219 @@ def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
             held[1:] |= sample.coupled.astype(bool)
             off = ~sample.truck_on.astype(bool).all(axis=1)
             new = off & ~held & np.isnan(speed)
-            speed[new] = np.hypot(sample.v[new, 0], sample.v[new, 1])
+            speed[new] = np.hypot(sample.velocity[new, 0], sample.velocity[new, 1])
         if simulation.ended:
             return speed
         simulation.advance_steps(1)
 
 
-def _yang_manos(
-    params: TrainParams,
-    own: dict[str, float],
-    progress: Callable[[float, int], None] | None,
-) -> ModelRun:
+NO_FORCES = ("peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
+             "severity", "cars_above_5MN", "cars_above_10MN")  # fmt: skip
+"""What a model without forces between cars does not know."""
+
+
+def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dict[str, Any]]:
     from derail_ros import models
     from derail_ros.baselines.yang_manos import YangManosParams, configure, zigzag
     from derail_ros.review.scene import scene_from_simulation
 
     train = derailing_train(params)
-    simulation = models.build(configure(params, YangManosParams(**own)))
-    _go(simulation, progress)
+    simulation = models.build(configure(params, YangManosParams(**asked.constants)))
+    asked.go(simulation)
     outcome = simulation.outcome()
-    record = outcome_record(outcome)
-    record["derailed_cars"] = [c + train.first for c in record["derailed_cars"]]
-    for key in (
-        "peak_force_N",
-        "peak_force_pair",
-        "peak_force_time_s",
-        "peak_resultant_N",
-        "severity",
-        "cars_above_5MN",
-        "cars_above_10MN",
-    ):
-        record[key] = None
-    record["energy_J"]["collisions"] = None
-    record["energy_J"]["ground_body"] = None
-    scene = scene_from_simulation(simulation)
+    rear = outcome.rear_part_first_car
+    energy = {k: v for k, v in outcome.energy.items() if k not in ("collisions", "ground_body")}
+    whole = dataclasses.replace(
+        outcome,
+        derailed_cars=tuple(c + train.first for c in outcome.derailed_cars),
+        rear_part_first_car=rear + train.first if rear else 0,
+        energy=energy,
+        train_cars=real_cars(params),
+    )
     yaw = outcome.pose[: outcome.cars_derailed, 5]
     notes = {
         "zigzag": finite(zigzag(yaw), 3),
-        "couplings_parted": int((~simulation.sample().coupled.astype(bool)).sum()),
+        "couplings_parted": int((simulation.sample().coupled == 0).sum()),
     }
-    numbers = tuple(train.first + 1 + i for i in range(train.n))
-    unknown = np.full(train.n, np.nan)
-    return ModelRun(
-        "yang-manos",
-        record,
-        dataclasses.replace(scene, numbers=numbers, peak_force=unknown),
-        notes,
+    scene = dataclasses.replace(
+        scene_from_simulation(simulation),
+        numbers=train.numbers,
+        peak_force=np.full(train.n, np.nan),
     )
+    return record_of(whole, NO_FORCES), scene, notes
+
+
+def real_cars(params: TrainParams) -> int:
+    """Number of cars of a train, those that a body stands for counted each."""
+    return sum(car.represents for car in params.cars)
 
 
 # A model of its own --------------------------------------------------------------------------
 
 
-def _anderson(
-    params: TrainParams,
-    roll: bool,
-    own: dict[str, float],
-    progress: Callable[[float, int], None] | None,
-) -> ModelRun:
+def _anderson(params: TrainParams, asked: Request) -> tuple[Record, Scene, dict[str, Any]]:
     from derail_ros.baselines.anderson import AndersonModel, AndersonParams
+
+    model = AndersonModel(params, AndersonParams(**asked.constants))
+    asked.go(model)
+    o = model.outcome()
+    speed, other = o.car_values["approach_speed_m_per_s"], o.car_values["approach_car"]
+    notes: dict[str, Any] = {
+        "couplings_parted": int((model.coupled == 0).sum()),
+        "approach_speed_m_per_s": [finite(v, 3) for v in speed],
+    }
+    if speed.max(initial=0.0) > 0.0:
+        worst = int(np.argmax(speed))
+        notes["largest_approach_speed_m_per_s"] = finite(speed[worst], 3)
+        notes["largest_approach_pair"] = sorted([worst + 1, int(other[worst])])
+    if asked.roll:
+        notes["roll_deg"] = _degrees(o.car_values["roll_rad"])
+    track = None if is_straight(params) else model.track
+    breaks = params.track.rail_breaks
+    scene = _scene(params.cars, model.pose, model.truck_on, model.coupled, o,
+                   track=track, breaks=breaks)  # fmt: skip
+    return record_of(o, NO_FORCES), scene, notes
+
+
+def _scene(
+    cars: Any,
+    pose: Any,
+    truck_on: Any,
+    coupled: Any,
+    outcome: Outcome,
+    numbers: Any = None,
+    **more: Any,
+) -> Scene:
     from derail_ros.review.scene import make_scene
 
-    model = AndersonModel(params, AndersonParams(**own))
-    while not model.ended:
-        model.advance_to(model.time + 0.5)
-        if progress is not None:
-            progress(model.time, int((model.truck_on == 0).any(axis=1).sum()))
-    o = model.outcome()
-    record = blank_record()
-    record |= {
-        "cars_derailed": len(o.derailed_cars),
-        "derailed_cars": list(o.derailed_cars),
-        "duration_s": finite(o.duration),
-        "scene_length_m": finite(o.scene[0]),
-        "scene_width_m": finite(o.scene[1]),
-        "scene_area_m2": finite(o.scene[2]),
-        "rear_stop_m": finite(o.rear_stop),
-        "energy_initial_J": finite(o.energy["initial"]),
-        "energy_J": {k: finite(v) for k, v in o.energy.items()},
-        "energy_residual": finite(o.residual),
-        "void": o.status == "void",
-        "status": o.status,
-        "at_rest": o.status == "at rest",
-        "end_time_s": finite(o.time),
-        "steps": o.steps,
-        "rejected_steps": o.rejected_steps,
-    }
-    record["energy_J"]["ground_body"] = record["energy_J"]["knuckle"] = None
-    notes: dict[str, Any] = {
-        "couplings_parted": len(o.parted),
-        "approach_speed_m_per_s": [finite(v, 3) for v in o.approach_speed],
-    }
-    if o.approach_speed.max(initial=0.0) > 0.0:
-        worst = int(np.argmax(o.approach_speed))
-        notes["largest_approach_speed_m_per_s"] = finite(o.approach_speed[worst], 3)
-        notes["largest_approach_pair"] = sorted([worst + 1, int(o.approach_other[worst])])
-    if roll:
-        notes["roll_deg"] = _degrees(o.roll)
-    straight = None if is_straight(params) else model.track
-    scene = make_scene(
-        params.cars,
-        model.pose,
-        model.truck_on,
-        model.coupled,
-        track=straight,
-        breaks=params.track.rail_breaks,
+    scene = make_scene(cars, pose, truck_on, coupled, **more)
+    return dataclasses.replace(
+        scene,
+        scene_length=outcome.scene_length,
+        scene_width=outcome.scene_width,
+        scene_area=outcome.scene_area,
+        numbers=numbers or scene.numbers,
     )
-    return ModelRun("anderson", record, _boxed(scene, o.scene), notes)
-
-
-def _boxed(scene: Scene, box: tuple[float, float, float]) -> Scene:
-    return dataclasses.replace(scene, scene_length=box[0], scene_width=box[1], scene_area=box[2])
 
 
 # Without forces -------------------------------------------------------------------------------
 
 
-def _numbers(train: Train, count: float) -> list[int]:
+def _first_cars(train: Train, count: float) -> tuple[int, ...]:
     """The first cars of the train, as many as a count that is not whole rounds to."""
-    return [train.first + 1 + i for i in range(min(round(count), train.n))]
+    return train.numbers[: min(round(count), train.n)]
 
 
-def _roorda_gracie(params: TrainParams, own: dict[str, float]) -> ModelRun:
+def _roorda_gracie(params: TrainParams, asked: Request) -> tuple[Record, Scene, dict[str, Any]]:
     from derail_ros.baselines.roorda_gracie import roorda_gracie
     from derail_ros.engine import Track
-    from derail_ros.review.scene import make_scene
-    from derail_ros.vocabulary.scene import car_corners, scene_box
 
     if not is_straight(params):
-        raise ModelError("the model of Roorda and Gracie is put to work on straight track only")
+        raise ModelError("the model of Roorda and Gracie needs straight track")
     train = derailing_train(params)
-    run = roorda_gracie(train, brakes_of(params, train), **own)
+    run = roorda_gracie(train, brakes_of(params, train), **asked.constants)
     k = run.derailed
-    size = [np.array([getattr(c, key) for c in train.cars]) for key in ("length", "width")]
+    length, width = np.array([(c.length, c.width) for c in train.cars]).T
     straight = Track(dataclasses.replace(params.track, segments=()))
-    corners = car_corners(run.pose, *size)
-    box = scene_box(straight, corners[:k], run.pose[:k, 0])
-    record = blank_record()
-    record |= {
-        "cars_derailed": k,
-        "derailed_cars": _numbers(train, k),
-        "duration_s": finite(run.duration),
-        "scene_length_m": finite(box[0]),
-        "scene_width_m": finite(box[1]),
-        "scene_area_m2": finite(box[2]),
-        "energy_initial_J": finite(run.energy[0]),
-        "status": "whole train derailed" if run.whole_train else "at rest",
-        "end_time_s": finite(run.duration),
-        "steps": len(run.time) - 1,
-        "rejected_steps": 0,
-    }
+    box = scene_box(straight, car_corners(run.pose, length, width)[:k], run.pose[:k, 0])
+    status = WHOLE_TRAIN if run.whole_train else AT_REST
+    outcome = dataclasses.replace(
+        _nothing(params, planar(run.pose), status, run.duration, len(run.time) - 1),
+        derailed_cars=_first_cars(train, k),
+        scene_length=box[0],
+        scene_width=box[1],
+        scene_area=box[2],
+        energy={
+            "kinetic": float(run.energy[-1]),
+            "initial": float(run.energy[0]),
+            "brakes": run.brake_work,
+            "ground_trucks": run.ground_work,
+        },
+    )
     if k < train.n:
-        record["rear_stop_m"] = finite(run.pose[k, 0] + train.cars[k].truck_distance)
-    record["energy_J"] |= {
-        "kinetic": finite(run.energy[-1]),
-        "initial": finite(run.energy[0]),
-        "brakes": finite(run.brake_work),
-        "ground_trucks": finite(run.ground_work),
-    }
+        stop = run.pose[k, 0] + train.cars[k].truck_distance
+        outcome = dataclasses.replace(
+            outcome, rear_part_first_car=train.numbers[k], rear_part_coordinate=float(stop)
+        )
     on = np.ones((train.n, 2), dtype=bool)
     on[:k] = False
-    scene = make_scene(
-        train.cars,
-        run.pose,
-        on,
-        np.ones(train.n - 1, dtype=bool),
-        breaks=(train.point,),
-    )
-    numbers = tuple(train.first + 1 + i for i in range(train.n))
-    scene = dataclasses.replace(_boxed(scene, box), numbers=numbers)
-    return ModelRun("roorda-gracie", record, scene, {"advance_m": finite(run.advance, 3)})
+    scene = _scene(train.cars, run.pose, on, np.ones(train.n - 1, dtype=bool), outcome,
+                   train.numbers, breaks=(train.point,))  # fmt: skip
+    return record_of(outcome, NO_FORCES), scene, {"advance_m": finite(run.advance, 3)}
+
+
+def _nothing(params: TrainParams, pose: Any, status: str, duration: float, steps: int) -> Outcome:
+    """An outcome in which nothing is known but how long it took."""
+    blank = Outcome.nothing(pose, status, duration, steps)
+    return dataclasses.replace(blank, duration=duration, train_cars=real_cars(params))
+
+
+NO_PLANE = (*NO_FORCES, "scene_length_m", "scene_width_m", "scene_area_m2", "steps",
+            "rejected_steps")  # fmt: skip
+"""What a model with one coordinate does not know."""
 
 
 def _one_dimensional(
-    train: Train, count: float, duration: float, whole: bool, masses: float
-) -> Record:
-    record = blank_record()
-    record |= {
-        "cars_derailed": finite(count, 3),
-        "derailed_cars": _numbers(train, count),
-        "duration_s": finite(duration),
-        "energy_initial_J": finite(0.5 * masses * train.speed**2),
-        "status": "whole train derailed" if whole else "at rest",
-        "end_time_s": finite(duration),
-    }
-    record["energy_J"]["initial"] = record["energy_initial_J"]
-    return record
-
-
-def _blockage(params: TrainParams) -> ModelRun:
-    from derail_ros.baselines.blockage import blockage
-
-    train = derailing_train(params)
-    answer = blockage(
-        train.speed,
-        train.n,
-        mass=train.mean_mass(),
-        car_length=train.mean_length(),
-        run_up=train.run_up,
-    )
-    record = _one_dimensional(
-        train,
-        float(answer.cars_derailed),
-        float(answer.duration),
-        bool(answer.whole_train),
-        float(train.masses().sum()),
+    params: TrainParams, train: Train, answer: Any
+) -> tuple[Record, None, dict[str, Any]]:
+    """Record and notes of an estimate with one coordinate."""
+    count = float(answer.cars_derailed)
+    status = WHOLE_TRAIN if answer.whole_train else AT_REST
+    outcome = dataclasses.replace(
+        _nothing(params, np.zeros((train.n, 6)), status, float(answer.duration), 0),
+        derailed_cars=_first_cars(train, count),
+        energy={"initial": 0.5 * float(train.masses().sum()) * train.speed**2},
     )
     notes = {
         "distance_m": finite(answer.distance, 3),
         "peak_speed_m_per_s": finite(answer.peak_speed, 3),
     }
-    return ModelRun("blockage", record, None, notes)
+    return record_of(outcome, NO_PLANE, cars_derailed=finite(count, 3)), None, notes
 
 
-def _bar(name: str, params: TrainParams) -> ModelRun:
-    from derail_ros.baselines import bar
-
+def _blockage(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, Any]]:
     train = derailing_train(params)
     length = train.mean_length()
-    arguments: dict[str, Any] = {"car_length": length}
-    kind = name.removesuffix("-corrected")
-    if kind != "bar-1":
-        arguments["form"] = "published" if kind == name else "corrected"
-        arguments["ground_length"] = 3.0 * length
-    function = {"bar-1": bar.bar_case_1, "bar-2": bar.bar_case_2, "bar-3": bar.bar_case_3}[kind]
-    answer = function(train.speed, train.n, **arguments)
-    record = _one_dimensional(
-        train,
-        float(answer.cars_derailed),
-        float(answer.duration),
-        bool(answer.whole_train),
-        float(train.masses().sum()),
+    answer = blockage(
+        train.speed, train.n, mass=train.mean_mass(), car_length=length, run_up=train.run_up
     )
-    notes = {
-        "distance_m": finite(answer.distance, 3),
-        "peak_speed_m_per_s": finite(answer.peak_speed, 3),
-    }
-    return ModelRun(name, record, None, notes)
+    return _one_dimensional(params, train, answer)
+
+
+def _bar(case: Callable[..., bar.BarEstimate], **form: Any) -> Callable[..., Any]:
+    def run(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, Any]]:
+        train = derailing_train(params)
+        length = train.mean_length()
+        more = {"ground_length": 3.0 * length, **form} if form else {}
+        answer = case(train.speed, train.n, car_length=length, **more)
+        return _one_dimensional(params, train, answer)
+
+    return run
+
+
+_PLANE = {"plane": True, "varied": True, "kernels": True}
+
+MODELS: dict[str, Model] = {
+    PLANAR: Model("E. E. Toma 1998, the main model", _planar, rolls=True, **_PLANE),
+    "yang-manos": Model("Yang and Manos 1972", _yang_manos, constants=("friction", "widening"),
+                        **_PLANE),
+    "anderson": Model(
+        "Birk, Anderson and Coppens 1990", _anderson, rolls=True,
+        constants=("stiffness", "damping", "force_limit", "friction", "restitution"), **_PLANE
+    ),
+    "roorda-gracie": Model("Roorda and Gracie 1992", _roorda_gracie, plane=True,
+                           constants=("friction", "increment", "start_angle")),
+    "blockage": Model("one-dimensional blockage model", _blockage),
+    "bar-1": Model("a bar slides from the rails onto the ground", _bar(bar.bar_case_1)),
+    "bar-2": Model("bar-1, what has gone too far is left behind (published form)",
+                   _bar(bar.bar_case_2, form="published")),
+    "bar-2-corrected": Model("bar-2 without the gain of energy",
+                             _bar(bar.bar_case_2, form="corrected")),
+    "bar-3": Model("bar-2 with brakes (published form)", _bar(bar.bar_case_3, form="published")),
+    "bar-3-corrected": Model("bar-3 without the gain of energy",
+                             _bar(bar.bar_case_3, form="corrected")),
+}  # fmt: skip
+"""The models by their names."""
+
+FORMER = {"toma": PLANAR}
+"""Names that models had before, which are still read."""

@@ -45,7 +45,7 @@ INCREMENT = 0.25
 """Advance of the train an increment, m [R]."""
 
 START_ANGLE = 0.1
-"""Angle of the first car as it derails, rad [R]; the outcome hardly knows it."""
+"""Angle of the first car as it derails, rad [R]; the outcome hardly depends on it."""
 
 
 @dataclass(frozen=True)

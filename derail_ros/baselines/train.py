@@ -22,7 +22,7 @@ COMPOSITION_LIMIT = 80.0 / 3.6
 
 
 class ModelError(ValueError):
-    """A model cannot be put to work on a train; says why."""
+    """A model cannot be run on a train; the message is the reason."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,11 @@ class Train:
     def n(self) -> int:
         """Number of cars."""
         return len(self.cars)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Car numbers within the whole train, car 1 leads."""
+        return tuple(range(self.first + 1, self.first + 1 + self.n))
 
     def masses(self) -> F64:
         """(N,) kg."""

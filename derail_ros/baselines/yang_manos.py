@@ -88,7 +88,7 @@ def configure(params: TrainParams, own: YangManosParams | None = None) -> TrainP
     """
     own = YangManosParams() if own is None else own
     if not is_straight(params):
-        raise ModelError("the model of Yang and Manos knows straight track only")
+        raise ModelError("the model of Yang and Manos needs straight track")
     train = derailing_train(params)
     start = params.initiation
     cars = tuple(

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.vocabulary.words import count
+from derail_ros.vocabulary.words import count, finite
 
 if TYPE_CHECKING:
-    from derail_ros.baselines.reenact import Way
+    from derail_ros.baselines.reenact import Counts, Way
     from derail_ros.studies.accidents import Group, Report, SpeedClass, Statistics
+    from derail_ros.studies.tables import Table
 
 
 @dataclass(frozen=True)
@@ -59,15 +60,13 @@ def run(
     as_json: bool,
 ) -> int:
     """Print averages of reports, and of the models if asked; the exit code."""
+    from derail_ros.commands.models import known_model
     from derail_ros.studies.accidents import CLASSES_TEXT, by_speed, load_statistics
 
     group = chosen.group()
     if settings and not models:
-        raise CommandFailure("--set: is for the trains that --model runs")
-    from derail_ros.commands.models import _check_model
-
-    for name in models:
-        _check_model(name)
+        raise CommandFailure("--set: changes the trains that --model runs; name a model")
+    models = [known_model(name) for name in models]
     if not paths:
         statistics = load_statistics()
         if models:
@@ -100,8 +99,8 @@ def run(
             {"group": group.words, "reports": len(reports), "outside": outside,
              "classes": [asdict(c) for c in classes]}
         )  # fmt: skip
-        return OK
-    _print_classes(group, classes, outside)
+    else:
+        common.print_tables(_class_table(group, classes, outside))
     return OK
 
 
@@ -130,16 +129,36 @@ def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str], 
 
 
 def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
-    """Each model with these settings; a mistake in them is told here, before the first run."""
+    """Each model with these settings; a mistake in them is reported before the first run."""
     from derail_ros.baselines.reenact import GIVEN, Way
     from derail_ros.scenario import parse_set
 
     overrides = dict(parse_set(text) for text in settings)
     for path in overrides:
         if any(given == path or given.startswith(f"{path}.") for given in GIVEN):
-            raise CommandFailure(f"--set: {path}: is that of each report")
+            raise CommandFailure(f"--set: {path} is given by each report")
     common.load("base_train", settings)
     return [Way(name, name, overrides) for name in dict.fromkeys(models)]
+
+
+def _reenact(trains: Sequence[Report], ways: Sequence[Way], jobs: int | None) -> Counts:
+    from derail_ros.baselines.reenact import reenact
+    from derail_ros.vocabulary.errors import ParameterError
+
+    with common.counting_runs("accidents") as progress:
+        try:
+            return reenact(trains, ways, jobs=jobs, progress=progress)
+        except ParameterError as error:
+            raise CommandFailure(f"base_train: {error}") from None
+
+
+def _code(counts: Counts) -> int:
+    from derail_ros.baselines.reenact import failed_runs
+
+    failed = failed_runs(counts)
+    if failed:
+        note(f"derail: {count(failed, 'run')} failed")
+    return FAILED if failed else OK
 
 
 def _run_models(
@@ -150,49 +169,41 @@ def _run_models(
     jobs: int | None,
     as_json: bool,
 ) -> int:
+    """Run trains of reports."""
     from derail_ros.baselines import reenact as r
-    from derail_ros.vocabulary.errors import ParameterError
 
-    ways = _ways(models, settings)
-    common.warm_up()
-    with common.progress(*common.counting_columns()) as bars:
-        task = bars.add_task("accidents", total=len(trains) * len(ways))
-        try:
-            counts = r.reenact(
-                trains, ways, jobs=jobs,
-                progress=lambda done, _total: bars.update(task, completed=done),
-            )  # fmt: skip
-        except ParameterError as error:
-            raise CommandFailure(f"base_train: {error}") from None
-    rows = r.averages(trains, counts)
-    speeds = [train.speed_kmh for train in trains]
-    failed = sum(value is None for values in counts.values() for value in values)
+    counts = _reenact(trains, _ways(models, settings), jobs)
     if as_json:
+        classes = [
+            {
+                "trains": n,
+                "speed_kmh": speed,
+                "reported": {"mean": own.mean, "error": own.error},
+                "models": {label: _plain(c) for label, c in means.items()},
+            }
+            for n, speed, own, means in r.averages(trains, counts)
+        ]
+        agreement = {label: _plain(r.agreement(trains, v)) for label, v in counts.items()}
+        speeds = [train.speed_kmh for train in trains]
         common.print_json(
             {
                 "group": group.words,
                 "settings": list(settings),
-                "classes": [
-                    {
-                        "trains": n,
-                        "speed_kmh": speed,
-                        "reported": {"mean": own.mean, "error": own.error},
-                        "models": {label: _plain(c) for label, c in cells.items()},
-                    }
-                    for n, speed, own, cells in rows
-                ],
-                "agreement": {
-                    label: _plain(r.agreement(trains, values)) for label, values in counts.items()
-                },
+                "classes": classes,
+                "agreement": agreement,
                 "class_mean": _plain(r.agreement(trains, r.means_of_classes(trains))),
-                "rank_speed": _or_none(r.rank_correlation(trains, speeds)),
+                "rank_speed": finite(r.rank_correlation(trains, speeds)),
             }
         )
     else:
-        _print_models(group, settings, rows, trains, counts)
-    if failed:
-        note(f"derail: {count(failed, 'run')} failed")
-    return FAILED if failed else OK
+        title = f"Cars derailed, means of {count(len(trains), 'train')}"
+        common.out().print(_titled(title, group, settings), soft_wrap=True)
+        common.print_tables(r.averages_table(trains, counts), r.agreement_table(trains, counts))
+    return _code(counts)
+
+
+def _titled(title: str, group: Group, settings: Sequence[str]) -> str:
+    return ", ".join([f"{title}: {group.words}", *settings])
 
 
 def _run_mean_trains(
@@ -204,10 +215,9 @@ def _run_mean_trains(
     as_json: bool,
 ) -> int:
     """Run the mean trains of the shipped averages."""
-    from rich.table import Table
-
-    from derail_ros.baselines import reenact as r
+    from derail_ros.baselines.reenact import MeanCount, mean_report
     from derail_ros.studies.accidents import GROUPS
+    from derail_ros.studies.tables import Table
 
     name = next((name for name, known in GROUPS.items() if known == group), None)
     if name is None:
@@ -215,87 +225,42 @@ def _run_mean_trains(
             f"there are no averages of: {group.words}; there are those of: "
             f"{'; '.join(g.words for g in GROUPS.values())}. For others name the files of reports"
         )
-    ways = _ways(models, settings)
     classes = [c for c in statistics.groups[name] if c.mass_kg is not None]
-    trains = [r.mean_report(c) for c in classes]
-    common.warm_up()
-    counts = r.reenact(trains, ways, jobs=jobs)
-    failed = sum(value is None for values in counts.values() for value in values)
-    if as_json:
-        common.print_json(
-            {
-                "group": group.words,
-                "settings": list(settings),
-                "mean_trains": [
-                    {"cars": t.cars, "mass_kg": t.mass_kg, "speed_kmh": t.speed_kmh,
-                     "reported": {"mean": c.mean, "error": c.error, "reports": c.reports},
-                     "models": {label: values[k] for label, values in counts.items()}}
-                    for k, (c, t) in enumerate(zip(classes, trains, strict=True))
-                ],
-            }
-        )  # fmt: skip
-        return FAILED if failed else OK
-    console = common.out()
-    words = f", {', '.join(settings)}" if settings else ""
-    console.print(f"Cars derailed of mean trains: {group.words}{words}", soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    for heading in ("speed, km/h", "cars", "t a car", "reports", "reported", *counts):
-        table.add_column(heading, justify="right")
+    trains = [mean_report(c) for c in classes]
+    counts = _reenact(trains, _ways(models, settings), jobs)
+    rows: list[Any] = []
     for k, (c, t) in enumerate(zip(classes, trains, strict=True)):
-        table.add_row(
-            f"{t.speed_kmh:.0f}", str(t.cars), f"{(t.mass_kg or 0.0) * 1e-3:.0f}",
-            str(c.reports), r.with_error(c.mean, c.error),
-            *("-" if v is None else f"{v:.0f}" for v in (values[k] for values in counts.values())),
-        )  # fmt: skip
-    console.print(table)
-    if failed:
-        note(f"derail: {count(failed, 'run')} failed")
-    return FAILED if failed else OK
+        found = {label: values[k] for label, values in counts.items()}
+        if as_json:
+            reported = {"mean": c.mean, "error": c.error, "reports": c.reports}
+            rows.append(
+                {"cars": t.cars, "mass_kg": t.mass_kg, "speed_kmh": t.speed_kmh,
+                 "reported": reported, "models": found}
+            )  # fmt: skip
+        else:
+            numbers = [f"{t.speed_kmh:.0f}", str(t.cars), f"{(t.mass_kg or 0.0) * 1e-3:.0f}"]
+            reported = [str(c.reports), str(MeanCount(c.mean, c.error))]
+            theirs = ["-" if v is None else f"{v:.0f}" for v in found.values()]
+            rows.append([*numbers, *reported, *theirs])
+    if as_json:
+        report = {"group": group.words, "settings": list(settings), "mean_trains": rows}
+        common.print_json(report)
+    else:
+        title = _titled("Cars derailed of mean trains", group, settings)
+        heads = ["speed, km/h", "cars", "t a car", "reports", "reported", *counts]
+        common.print_tables(Table(heads, rows, title, texts=0))
+    return _code(counts)
 
 
-def _print_models(
-    group: Group,
-    settings: Sequence[str],
-    rows: Sequence[Any],
-    trains: Sequence[Report],
-    counts: Any,
-) -> None:
-    from rich.table import Table
-
-    from derail_ros.baselines import reenact as r
-
-    console = common.out()
-    words = f", {', '.join(settings)}" if settings else ""
-    title = f"Cars derailed, means of {count(len(trains), 'train')}: {group.words}{words}"
-    console.print(title, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    for heading in ("speed, km/h", "trains", "reported", *counts):
-        table.add_column(heading, justify="right")
-    for n, speed, own, cells in rows:
-        table.add_row(
-            f"{speed:.0f}", str(n), r.with_error(own.mean, own.error),
-            *(r.with_error(c.mean, c.error) for c in cells.values()),
-        )  # fmt: skip
-    console.print(table)
-    console.print()
-    table = Table(box=None, pad_edge=False)
-    for heading in r.AGREEMENT:
-        table.add_column(heading, justify="right" if heading else "left")
-    for row in r.agreement_rows(trains, counts):
-        table.add_row(*row)
-    console.print(table)
-
-
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _plain(value: Any) -> dict[str, float | None]:
+def _plain(value: Any) -> dict[str, float | int | None]:
     """Of a dataclass of numbers, for JSON."""
-    return {key: _or_none(x) for key, x in asdict(value).items()}
+    return {
+        key: None if isinstance(x, float) and math.isnan(x) else x
+        for key, x in asdict(value).items()
+    }
 
 
-def _shipped(statistics: Any, as_json: bool) -> int:
+def _shipped(statistics: Statistics, as_json: bool) -> int:
     from derail_ros.studies.accidents import GROUPS
 
     if as_json:
@@ -307,85 +272,20 @@ def _shipped(statistics: Any, as_json: bool) -> int:
         f"{first} to {last}.\n{statistics.source}.\n",
         soft_wrap=True,
     )
-    for name, classes in statistics.groups.items():
-        _print_classes(GROUPS[name], classes)
+    common.print_tables(*(_class_table(GROUPS[n], c) for n, c in statistics.groups.items()))
     return OK
 
 
-def _print_classes(group: Group, classes: Sequence[SpeedClass], outside: int = 0) -> None:
-    from rich.table import Table
+def _class_table(group: Group, classes: Sequence[SpeedClass], outside: int = 0) -> Table:
+    from derail_ros.studies.tables import Table
 
-    table = Table(box=None, pad_edge=False)
-    for heading in ("speed, km/h", "reports", "cars, mean", "its error", "median", "90 %"):
-        table.add_column(heading, justify="right")
-    for c in classes:
-        table.add_row(
-            f"{c.low_kmh:.0f} to {c.high_kmh:.0f}", str(c.reports), f"{c.mean:.1f}",
-            f"{c.error:.1f}" if c.reports > 1 else "-", f"{c.median:.0f}", f"{c.q90:.0f}",
-        )  # fmt: skip
-    console = common.out()
     title = f"{group.words}: {count(sum(c.reports for c in classes), 'report')}"
     if outside:
         title += f", and {outside} of other speeds"
-    console.print(title[0].upper() + title[1:], soft_wrap=True)
-    console.print(table)
-    console.print()
-
-
-def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, more: bool) -> int:
-    """Run what ``docs/accidents.md`` shows; write it, its figures and the shipped averages."""
-    from derail_ros.baselines import reenact as r
-    from derail_ros.baselines.page import fill, missing_markers
-    from derail_ros.models import engine_hash
-    from derail_ros.review import figures
-    from derail_ros.studies import accidents as a
-
-    if more:
-        raise CommandFailure("--write is for the page's own cases, without other choices")
-    if not paths:
-        raise CommandFailure("--write: name the files of the reports")
-    images = common.image_beside(page, "accidents.png").parent
-    if not page.is_file():
-        raise CommandFailure(f"{page}: there is no such page")
-    text = page.read_text(encoding="utf-8")
-    if missing := missing_markers(text, r.NAMES):
-        raise CommandFailure(f"{page}: has no place for the results {', '.join(missing)}")
-    reports = read(paths)
-    common.warm_up()
-    plan = r.Plan()
-    with common.progress(*common.counting_columns()) as bars:
-        task = bars.add_task("accidents", total=None)
-        try:
-            results = r.compute(
-                reports, plan, seed, jobs=jobs,
-                progress=lambda done, total: bars.update(task, completed=done, total=total),
-            )  # fmt: skip
-        except ValueError as error:
-            raise CommandFailure(f"{', '.join(map(str, paths))}: {error}") from None
-    first, last = results.statistics.years
-    outside = len(reports) - sum(c.reports for c in results.statistics.groups["all"])
-    about = (
-        f"<sub>`derail accidents FILES --write` with the {len(paths)} files of {first} to {last}: "
-        f"{len(reports)} freight trains derailed on main track, {outside} of them at speeds "
-        f"outside {a.CLASSES_TEXT}, which are in no table. One run a train and model, no "
-        f"ensemble; of all causes at most {plan.every} trains of a class of speed, drawn with "
-        f"seed {seed}. Mean ± its standard error. Engine {engine_hash()[:16]}.</sub>"
-    )
-    for name, figure in r.figures(results).items():
-        figures.save(figure, images / name, dpi=common.IMAGE_DPI)
-    page.write_text(fill(text, r.blocks(results, about)), encoding="utf-8")
-    shipped = Path(a.__file__).parent / "data" / a.SHIPPED
-    try:
-        shipped.write_text(a.statistics_yaml(results.statistics), encoding="utf-8")
-    except OSError as error:
-        raise CommandFailure(f"{shipped}: {error.strerror or error}") from None
-    note(f"derail: wrote {page}, its figures in {images}, and {shipped}")
-    failed = sum(
-        value is None
-        for counts in (results.counts, results.every_counts)
-        for values in counts.values()
-        for value in values
-    )
-    if failed:
-        note(f"derail: {count(failed, 'run')} failed")
-    return FAILED if failed else OK
+    rows = [
+        [f"{c.low_kmh:.0f} to {c.high_kmh:.0f}", str(c.reports), f"{c.mean:.1f}",
+         f"{c.error:.1f}" if c.reports > 1 else "-", f"{c.median:.0f}", f"{c.q90:.0f}"]
+        for c in classes
+    ]  # fmt: skip
+    heads = ["speed, km/h", "reports", "cars, mean", "its error", "median", "90 %"]
+    return Table(heads, rows, title[0].upper() + title[1:], texts=0)

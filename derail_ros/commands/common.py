@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from derail_ros.vocabulary.params import PLANAR
+from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from derail_ros.scenario import Scenario
+    from derail_ros.studies.tables import Table
 
 OK = 0
 BAD_INPUT = 2
@@ -127,8 +129,8 @@ class PlainProgress:
         if moment - self._said < PLAIN_S:
             return
         self._said = moment
-        count = "" if it["total"] is None else f"{it['completed']:g} of {it['total']:g}"
-        note(f"derail: {it['name']}: {', '.join(w for w in (count, it['state']) if w)}")
+        done = "" if it["total"] is None else f"{it['completed']:g} of {it['total']:g}"
+        note(f"derail: {it['name']}: {', '.join(w for w in (done, it['state']) if w)}")
 
 
 def counting_columns() -> list[Any]:
@@ -150,31 +152,53 @@ def counting_columns() -> list[Any]:
     ]
 
 
-IMAGE_DPI = 100
-"""Of the figures of documentation pages: sharp enough to read, small enough to keep in git."""
+def spinner_columns() -> list[Any]:
+    """Columns of a progress display of something whose end is not known."""
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    text = TextColumn("{task.description} {task.fields[state]}")
+    return [SpinnerColumn(), text, TimeElapsedColumn()]
 
 
-def image_beside(page: Path, name: str) -> Path:
-    """Place of an image of a page, in the folder ``images`` beside it, which is made.
-
-    Raises
-    ------
-    CommandFailure
-        The page's own folder does not exist.
-    """
-    if not page.parent.is_dir():
-        raise CommandFailure(f"{page}: there is no folder {page.parent}")
-    folder = page.parent / "images"
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise CommandFailure(f"{folder}: {error.strerror or error}") from None
-    return folder / name
+@contextmanager
+def counting_runs(title: str) -> Iterator[Callable[[int, int], None]]:
+    """Have the engine ready; gives what shows ``(runs done, runs in all)``."""
+    warm_up()
+    with progress(*counting_columns()) as bars:
+        task = bars.add_task(title, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
-def relative(image: Path, page: Path) -> str:
-    """The path of an image as its page writes it."""
-    return image.relative_to(page.parent).as_posix()
+def print_tables(*tables: Table) -> None:
+    """Print tables, an empty line after each; they stay whole in files and pipes."""
+    console = out()
+    for table in tables:
+        if table.title:
+            console.print(table.title, style="italic", markup=False, soft_wrap=True)
+        shown = table.rich()
+        if not console.is_terminal:
+            console.width = max(console.width, console.measure(shown).maximum)
+        console.print(shown)
+        console.print()
+
+
+def exit_code(failed: int, errors: Iterable[str]) -> int:
+    """The exit code of a command of many runs; reports the runs that failed."""
+    if failed:
+        note(f"derail: {count(failed, 'run')} failed: {'; '.join(sorted(set(errors)))}")
+    return FAILED if failed else OK
+
+
+def need_extra(command: str, *modules: str) -> None:
+    """Refuse to go on without the packages of the extra ``studies``."""
+    import importlib.util
+
+    for module in modules:
+        if importlib.util.find_spec(module) is None:
+            raise CommandFailure(
+                f"{command} needs the extra 'studies': pip install 'derail_ros[studies]' "
+                f"({module} is missing)"
+            )
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -6,38 +6,32 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from derail_ros.commands.common import OK, CommandFailure, out, print_json
+from derail_ros.commands import common
+from derail_ros.commands.common import OK, CommandFailure
 from derail_ros.vocabulary.words import finite
 
 
 @dataclass(frozen=True)
-class Case:
-    """A case with the parameters of its published figure."""
+class Estimate:
+    """An estimate with the parameters of its published figure."""
 
     title: str
     speed_kmh: float
     mu1: float
     mu2: float
-    forms: tuple[str, ...]
+    forms: bool = True
 
 
-CASES = {
-    "bar-1": Case("a uniform bar slides from the rails onto the ground", 64.0, 0.05, 0.5, ()),
-    "bar-2": Case(
+ESTIMATES = {
+    "bar-1": Estimate(
+        "a uniform bar slides from the rails onto the ground", 64.0, 0.05, 0.5, forms=False
+    ),
+    "bar-2": Estimate(
         "as bar-1, but what has gone over three car lengths too far is left behind",
-        64.0,
-        0.05,
-        1.0,
-        ("published", "corrected"),
+        64.0, 0.05, 1.0,
     ),
-    "bar-3": Case(
-        "as bar-2, with brakes instead of rolling friction",
-        105.0,
-        0.1,
-        1.0,
-        ("published", "corrected"),
-    ),
-}
+    "bar-3": Estimate("as bar-2, with brakes instead of rolling friction", 105.0, 0.1, 1.0),
+}  # fmt: skip
 
 
 def parse_cars(text: str) -> list[int]:
@@ -46,11 +40,10 @@ def parse_cars(text: str) -> list[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?::(\d+)(?::(\d+))?)?\s*", part)
         if match is None:
-            raise CommandFailure(f"--cars: must be like 60 or 20,40 or 10:100:10, not {text!r}")
-        first, last, step = (int(g) if g else None for g in match.groups())
-        assert first is not None
-        last = first if last is None else last
-        step = 1 if step is None else step
+            raise CommandFailure(f"--cars: must be like 60 or 20,40 or 10:100:10, got {text!r}")
+        first = int(match[1])
+        last = first if match[2] is None else int(match[2])
+        step = 1 if match[3] is None else int(match[3])
         if first < 1 or last < first or step < 1 or (last - first) // step >= 10_000:
             raise CommandFailure(f"--cars: {part.strip()} is not a range of numbers of cars")
         cars += range(first, last + 1, step)
@@ -69,10 +62,11 @@ def run(
 ) -> int:
     """Estimate the number of cars derailed by a bar model."""
     from derail_ros.baselines import bar
+    from derail_ros.studies.tables import Table
 
-    if name not in CASES:
-        raise CommandFailure(f"unknown estimate {name!r}; there are {', '.join(CASES)}")
-    case = CASES[name]
+    if name not in ESTIMATES:
+        raise CommandFailure(f"unknown estimate {name!r}; choose one of {', '.join(ESTIMATES)}")
+    case = ESTIMATES[name]
     form = "published" if form is None else form
     speed_kmh = case.speed_kmh if speed_kmh is None else speed_kmh
     mu1 = case.mu1 if mu1 is None else mu1
@@ -84,69 +78,45 @@ def run(
         arguments["form"] = form
     try:
         answer = function(speed_kmh / 3.6, counts, **arguments)
+        limits = bar.limiting_speed(counts, **arguments) * 3.6 if name == "bar-2" else None
     except ValueError as error:
         raise CommandFailure(str(error)) from None
-    rows = [
+    trains = [
         {
             "cars": n,
-            "cars_derailed": finite(d, 3),
-            "whole_train": bool(w),
-            "distance_m": finite(x, 2),
-            "duration_s": finite(t, 2),
+            "cars_derailed": finite(answer.cars_derailed[k], 3),
+            "whole_train": bool(answer.whole_train[k]),
+            "distance_m": finite(answer.distance[k], 2),
+            "duration_s": finite(answer.duration[k], 2),
+            **({} if limits is None else {"limiting_speed_kmh": finite(limits[k], 2)}),
         }
-        for n, d, w, x, t in zip(
-            counts,
-            answer.cars_derailed,
-            answer.whole_train,
-            answer.distance,
-            answer.duration,
-            strict=True,
-        )
+        for k, n in enumerate(counts)
     ]
-    limit = None
-    if name == "bar-2":
-        limit = (
-            bar.limiting_speed(counts, mu1=mu1, mu2=mu2, car_length=car_length, form=form) * 3.6
-        )
-        for row, value in zip(rows, limit, strict=True):
-            row["limiting_speed_kmh"] = finite(value, 2)
-    shown_form = form if case.forms else None
+    report = {
+        "estimate": name,
+        "form": form if case.forms else None,
+        "speed_kmh": speed_kmh,
+        "mu1": mu1,
+        "mu2": mu2,
+        "car_length_m": car_length,
+        "trains": trains,
+    }
     if as_json:
-        print_json(
-            {
-                "estimate": name,
-                "form": shown_form,
-                "speed_kmh": speed_kmh,
-                "mu1": mu1,
-                "mu2": mu2,
-                "car_length_m": car_length,
-                "trains": rows,
-            }
-        )
+        common.print_json(report)
         return OK
-    from rich.table import Table
-
-    console = out()
+    console = common.out()
     console.print(f"[bold]{name}[/bold]: {case.title}")
     console.print(
         f"{speed_kmh:g} km/h, mu1 = {mu1:g}, mu2 = {mu2:g}, cars of {car_length:g} m"
-        + (f", {shown_form} form" if shown_form else "")
+        + (f", {form} form" if case.forms else "")
     )
-    table = Table(box=None, pad_edge=False)
-    for heading in ("cars", "derailed", "", "distance (m)", "duration (s)"):
-        table.add_column(heading, justify="left" if not heading else "right")
-    if limit is not None:
-        table.add_column("limiting speed (km/h)", justify="right")
-    for row in rows:
-        cells = [
-            str(row["cars"]),
-            f"{row['cars_derailed']:.1f}",
-            "whole train" if row["whole_train"] else "",
-            f"{row['distance_m']:.1f}",
-            f"{row['duration_s']:.1f}",
-        ]
-        if limit is not None:
-            cells.append(f"{row['limiting_speed_kmh']:.1f}")
-        table.add_row(*cells)
-    console.print(table)
+    rows = []
+    for t in trains:
+        whole = "whole train" if t["whole_train"] else ""
+        numbers = [f"{t[key]:.1f}" for key in ("distance_m", "duration_s")]
+        limit = [f"{t['limiting_speed_kmh']:.1f}"] if limits is not None else []
+        rows.append([str(t["cars"]), f"{t['cars_derailed']:.1f}", whole, *numbers, *limit])
+    heads = ["cars", "derailed", "", "distance (m)", "duration (s)"]
+    more = ["limiting speed (km/h)"] if limits is not None else []
+    common.print_tables(Table([*heads, *more], rows, texts=0))
     return OK

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.vocabulary.words import count
+from derail_ros.vocabulary.words import count, finite
 
 if TYPE_CHECKING:
     from derail_ros.baselines.models import ModelRun
@@ -18,15 +18,14 @@ if TYPE_CHECKING:
     from derail_ros.vocabulary.measures import Record
 
 
-def _check_model(name: str) -> None:
-    from derail_ros.baselines.models import MODELS
+def known_model(name: str) -> str:
+    """The name of a model; a former one is still read, an unknown one refused."""
+    from derail_ros.baselines.models import FORMER, MODELS
 
+    name = FORMER.get(name, name)
     if name not in MODELS:
-        raise CommandFailure(f"--model: there is no {name!r}; there are {', '.join(MODELS)}")
-
-
-def _needs_kernels(name: str) -> bool:
-    return name in ("toma", "yang-manos", "anderson")
+        raise CommandFailure(f"--model: unknown model {name!r}; choose one of {', '.join(MODELS)}")
+    return name
 
 
 def run(
@@ -41,81 +40,67 @@ def run(
     output: Path | None,
 ) -> int:
     """Run a scenario with one of the models; the exit code."""
-    from derail_ros.baselines.models import VARIED, ModelError, run_model
-    from derail_ros.studies.ensemble import Run, Stopped, run_many
-    from derail_ros.studies.records import Moments
+    from derail_ros.baselines.models import MODELS, ModelError, run_job, run_model
+    from derail_ros.studies.ensemble import Job, gather
+    from derail_ros.studies.records import Ensemble
     from derail_ros.vocabulary.errors import ParameterError, SimulationError
-    from derail_ros.vocabulary.measures import failed_record
+    from derail_ros.vocabulary.measures import SCHEMA, SCHEMA_VERSION, failed_record
 
-    _check_model(model)
-    if roll and model not in ("toma", "anderson"):
+    model = known_model(model)
+    if roll and not MODELS[model].rolls:
         raise CommandFailure(f"--roll: {model} parts no coupling; no car of it comes free")
     scenario = common.load(name_or_file, settings)
     params = scenario.to_params()
     members = 1 if ensemble is None else ensemble
-    if members > 1 and model not in VARIED:
-        raise CommandFailure(f"--ensemble: {model} knows no lateral force to vary")
+    if members > 1 and not MODELS[model].varied:
+        raise CommandFailure(f"--ensemble: {model} has no lateral force to vary")
     if output is not None:
         output = common.output_directory(output)
-    if _needs_kernels(model):
+    if MODELS[model].kernels:
         common.warm_up()
-    outcomes: list[Record] = []
+    records: list[Record] = []
     first: ModelRun | None = None
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns: list[Any] = [
-        SpinnerColumn(),
-        TextColumn("{task.description} {task.fields[state]}"),
-        TimeElapsedColumn(),
-    ]
-    with common.progress(*columns) as bars:
+    with common.progress(*common.spinner_columns()) as bars:
         task = bars.add_task(f"{scenario.name}, {model}", total=None, state="")
 
         def show(t: float, derailed: int) -> None:
-            bars.update(task, state=f"{t:.1f} s, {derailed} cars derailed")
+            bars.update(task, state=f"{t:.1f} s, {count(derailed, 'car')} derailed")
 
         began = time.perf_counter()
         try:
             first = run_model(model, params, roll=roll, progress=show)
-            outcomes.append(first.record)
+            records.append(first.record)
         except (ModelError, ParameterError) as error:
             raise CommandFailure(f"{scenario.name}: {error}") from None
         except SimulationError as error:
             text = " ".join(str(error).split())
-            outcomes.append(failed_record(text, time.perf_counter() - began))
-
-        def another(run: Run, stop: Callable[[], bool]) -> Record:
-            def look(_t: float, _derailed: int) -> None:
-                if stop():
-                    raise Stopped
-
-            return run_model(model, run.params(), progress=look).record
-
-        others = (Run(params, member=m, seed=seed) for m in range(1, members))
-        records: dict[int, Record] = {}
-        with closing(run_many(others, jobs=jobs, task=another)) as results:
-            for result in results:
-                records[result.run.member] = (
-                    result.value
-                    if result.error is None
-                    else failed_record(result.error, result.wall_s)
-                )
-                bars.update(task, state=f"{1 + len(records)} of {members} runs")
-        outcomes += [records[m] for m in sorted(records)]
-    moments = Moments()
-    for record in outcomes:
-        moments.add(record)
+            records.append(failed_record(text, time.perf_counter() - began))
+        others = [Job(params, member=m, seed=seed) for m in range(1, members)]
+        results = gather(
+            others,
+            jobs=jobs,
+            task=lambda job, stop: run_job(model, job, stop),
+            progress=lambda done, _: bars.update(task, state=f"{1 + done} of {members} runs"),
+        )
+    for result in results.get(None, ()):
+        failed = result.error is not None
+        records.append(
+            failed_record(result.error or "", result.wall_s) if failed else result.value.record
+        )
+    found = Ensemble(tuple(records))
     report: Record = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
         "scenario": scenario.name,
         "title": scenario.title,
         "hash": scenario.hash,
         "seed": seed if ensemble is not None else None,
         "members": members,
-        "void": moments.void,
-        "failed": moments.failed,
-        "outcomes": outcomes,
-        "mean": moments.mean(),
-        "sd": moments.sd(),
+        "void": found.void,
+        "failed": found.failed,
+        "outcomes": list(found.records),
+        "mean": found.mean(),
+        "sd": found.sd(),
         "model": model,
         "notes": {} if first is None else first.notes,
         "warnings": [],
@@ -126,11 +111,11 @@ def run(
         common.print_json(report)
     else:
         _print(report, output)
-    for i, record in enumerate(outcomes):
+    for i, record in enumerate(found.records):
         if "error" in record:
             note(f"derail: member {i} failed: {record['error']}")
             break
-    return FAILED if moments.failed == members else OK
+    return FAILED if found.failed == members else OK
 
 
 def _write(
@@ -140,8 +125,6 @@ def _write(
     report: Record,
     first: ModelRun | None,
 ) -> None:
-    import dataclasses
-
     from derail_ros.commands.simulate import write_csv
     from derail_ros.recording.manifest import software_versions
 
@@ -178,13 +161,13 @@ def _print(report: Record, output: Path | None) -> None:
     from rich.markup import escape
 
     from derail_ros.baselines.models import MODELS
-    from derail_ros.commands.simulate import _many, _one
+    from derail_ros.commands.simulate import many_runs, one_run
 
     console = common.out()
     console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
-    console.print(f"model {report['model']}: {MODELS[report['model']]}")
+    console.print(f"model {report['model']}: {MODELS[report['model']].words}")
     outcomes = report["outcomes"]
-    console.print(_one(outcomes[0]) if report["members"] == 1 else _many(report))
+    console.print(one_run(outcomes[0]) if report["members"] == 1 else many_runs(report))
     for key, value in report["notes"].items():
         if value is None or (isinstance(value, list) and len(value) > 2):
             continue
@@ -202,100 +185,17 @@ def parse_speeds(text: str) -> list[float]:
     try:
         speeds = [float(part) for part in text.split(",")]
     except ValueError:
-        raise CommandFailure(f"--speeds: must be like 30,48,60, not {text!r}") from None
+        raise CommandFailure(f"--speeds: must be like 30,48,60, got {text!r}") from None
     if not all(0.0 < v < 720.0 for v in speeds) or speeds != sorted(set(speeds)):
         raise CommandFailure("--speeds: must be positive and rise")
     return speeds
 
 
-def write_page(
-    path: Path, members: int, seed: int, jobs: int | None, as_json: bool, more: bool
-) -> int:
-    """Ensembles of all models on the cases of ``docs/baselines.md``, and the page from them.
-
-    ``more``: something was said that belongs to a single comparison.
-    """
-    from derail_ros.baselines import page
-    from derail_ros.studies.ensemble import default_jobs
-
-    if more:
-        raise CommandFailure(
-            "--write is for the page's own cases as they are: without a scenario, --set, "
-            "--model, --speeds and -o"
-        )
-    plan = page.Plan()
-    images = common.image_beside(path, "models.png").parent
-    text = path.read_text(encoding="utf-8") if path.exists() else None
-    if text is not None and (missing := page.missing_markers(text, page.NAMES)):
-        raise CommandFailure(f"{path}: has no place for the results {', '.join(missing)}")
-    common.warm_up()
-    _warm_anderson()
-    tasks = page.jobs_of(plan, members)
-    with common.progress(*common.counting_columns()) as bars:
-        task = bars.add_task("compare-models", total=None)
-
-        def show(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
-
-        cases = page.compute(tasks, seed, at_a_time=jobs, progress=show)
-    write_results(path, text, images, cases, plan, members, seed, jobs or default_jobs())
-    note(f"derail: wrote {path} and its figures in {images}")
-    ensembles = [e for case in cases.values() for e in case.values()]
-    failed = [r["error"] for e in ensembles for r in e.records if "error" in r]
-    if as_json:
-        common.print_json({"members": members, "seed": seed,
-                           "ensembles": [e.as_dict() for e in ensembles]})  # fmt: skip
-    if failed:
-        note(f"derail: {count(len(failed), 'run')} failed: {'; '.join(sorted(set(failed)))}")
-    return FAILED if failed else OK
-
-
-def write_results(
-    path: Path,
-    text: str | None,
-    images: Path,
-    cases: Any,
-    plan: Any,
-    members: int,
-    seed: int,
-    at_a_time: int,
-) -> None:
-    """Fill the page and write its figures; a page that does not exist becomes a bare one."""
-    from derail_ros.baselines import page
-    from derail_ros.models import engine_hash
-    from derail_ros.review import figures
-
-    drawn = page.figures(cases, plan)
-    for name, figure in drawn.items():
-        figures.save(figure, images / name, dpi=80)
-    few = max(2, members // 4)
-    at = "one run at a time" if at_a_time == 1 else f"{at_a_time} runs at a time"
-    about = (
-        f"<sub>`derail compare-models --write -n {members}`: {members} runs each for the models "
-        f"that know the push that starts the motion (it is varied by up to 4 %, seed {seed}), "
-        f"{few} each for other choices of constants, one for the others; mean ± standard "
-        "deviation of single runs. Scenes drawn are those of the scenario itself. Wall times: the "
-        f"least of these runs or of {page.REPEATS}, {at}, kernels compiled before. "
-        f"Engine {engine_hash()[:16]}.</sub>"
-    )
-    if text is None:
-        text = page.bare({name: f"images/{name}" for name in drawn})
-    path.write_text(page.fill(text, page.blocks(cases, plan, about)), encoding="utf-8")
-
-
-def _warm_anderson() -> None:
-    """Have Anderson's kernels compiled: its wall time shall not hold that."""
-    from derail_ros.baselines.anderson import AndersonModel
-
-    AndersonModel(common.load("base_train").to_params()).advance_to(0.01)
-
-
 def compare_models(
-    name_or_file: str | None,
+    name_or_file: str,
     settings: Sequence[str],
     models: Sequence[str],
     speeds: str | None,
-    members: int | None,
     as_json: bool,
     output: Path | None,
 ) -> int:
@@ -303,46 +203,32 @@ def compare_models(
     from derail_ros.baselines import comparison
     from derail_ros.baselines.models import MODELS
 
-    if name_or_file is None:
-        raise CommandFailure("name a scenario (derail scenarios), or --write for the page")
-    if members is not None:
-        raise CommandFailure("-n: only with --write; derail simulate --model has ensembles too")
-    chosen = list(models) or list(MODELS)
-    for name in chosen:
-        _check_model(name)
+    chosen = [known_model(name) for name in models] or list(MODELS)
     scenario = common.load(name_or_file, settings)
     series = None if speeds is None else parse_speeds(speeds)
     if output is not None:
         output = common.output_directory(output)
-    if any(_needs_kernels(name) for name in chosen):
+    if any(MODELS[name].kernels for name in chosen):
         common.warm_up()
-        if "anderson" in chosen:
-            _warm_anderson()
-    trains = (
-        [scenario]
-        if series is None
-        else [scenario.with_overrides({"train.speed_kmh": v}) for v in series]
-    )
-    runs = []
+    if "anderson" in chosen:
+        from derail_ros.baselines.anderson import warm_up
+
+        warm_up()
+    trains = [
+        scenario if v is None else scenario.with_overrides({"train.speed_kmh": v})
+        for v in (series or [None])
+    ]
+    runs: list[Any] = []
     with common.progress(*common.counting_columns()) as bars:
         task = bars.add_task(scenario.name, total=len(trains) * len(chosen))
+
+        def show(name: str, done: int) -> None:
+            done += len(runs) * len(chosen)
+            bars.update(task, description=f"{scenario.name}, {name}", completed=done)
+
         for train in trains:
-            before = len(runs) * len(chosen)
-
-            def show(name: str, done: int, before: int = before) -> None:
-                bars.update(task, description=f"{scenario.name}, {name}", completed=before + done)
-
             runs.append(comparison.compare(train.to_params(), chosen, progress=show))
-    title = scenario.title
-    answers = [
-        {
-            e.model: {"error": e.error}
-            if e.run is None
-            else {"outcome": e.run.record, "notes": e.run.notes}
-            for e in entries
-        }
-        for entries in runs
-    ]
+    answers = [{e.model: e.as_dict() for e in entries} for entries in runs]
     report: dict[str, Any] = {
         "scenario": scenario.name,
         "title": scenario.title,
@@ -351,62 +237,44 @@ def compare_models(
     }
     if series is None:
         report["models"] = answers[0]
-        table = comparison.markdown(runs[0])
+        table = comparison.comparison_table(runs[0])
     else:
-        report["speeds_kmh"] = series
-        report["models_by_speed"] = answers
-        table = comparison.by_speed_markdown(series, runs)
+        report |= {"speeds_kmh": series, "models_by_speed": answers}
+        table = comparison.by_speed_table(series, runs)
     if output is not None:
-        from derail_ros.review import figures
+        from derail_ros.baselines import figures
+        from derail_ros.review.drawing import save
 
         common.write_json(output / "comparison.json", report)
-        (output / "comparison.md").write_text(table, encoding="utf-8")
+        (output / "comparison.md").write_text(table.markdown() + "\n", encoding="utf-8")
         if series is None:
-            page = comparison.figure(title, runs[0])
+            page = figures.figure(scenario.title, runs[0])
         else:
-            page = comparison.by_speed_figure(
-                f"{scenario.name}: cars derailed over the speed", series, runs
-            )
-        figures.save(page, output / "comparison.png", dpi=80)
+            title = f"{scenario.name}: cars derailed over the speed"
+            page = figures.by_speed_figure(title, series, runs)
+        save(page, output / "comparison.png", dpi=80)
     if as_json:
         common.print_json(report)
     else:
-        _print_comparison(scenario, title, series, runs)
+        from rich.markup import escape
+
+        console = common.out()
+        console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(scenario.title)}")
+        remarks = []
+        if series is None:  # a remark may be long: below the table
+            remarks = [f"{row[0]}: {row[-1]}" for row in table.rows if row[-1]]
+            rows = [row[:-1] for row in table.rows]
+            table = dataclasses.replace(table, heads=table.heads[:-1], rows=rows)
+        common.print_tables(table)
+        for remark in remarks:
+            console.print(escape(remark), soft_wrap=True)
         if output is not None:
             note(f"results in {output}")
     return OK if any(e.run is not None for entries in runs for e in entries) else FAILED
 
 
-def _print_comparison(
-    scenario: Scenario,
-    title: str,
-    series: Sequence[float] | None,
-    runs: Sequence[Sequence[Any]],
-) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from derail_ros.baselines import comparison
-
-    console = common.out()
-    console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(title)}")
-    table = Table(box=None, pad_edge=False)
-    table.add_column("model", no_wrap=True)
-    remarks: list[tuple[str, str]] = []
-    if series is None:
-        for heading, *_ in comparison.MEASURES:
-            table.add_column(heading, justify="right")
-        lines = [row[:-1] for row in comparison.rows(runs[0])]
-        remarks = [(row[0], row[-1]) for row in comparison.rows(runs[0]) if row[-1]]
-    else:
-        for v in series:
-            table.add_column(f"{v:g} km/h", justify="right")
-        lines = comparison.by_speed_rows(runs)
-    for line in lines:
-        table.add_row(*(escape(text) for text in line))
-    console.print(table)
-    for name, remark in remarks:
-        console.print(f"{name}: {escape(remark)}", soft_wrap=True)
+MOST_BARS = 12
+"""Bars that are printed; --json gives all."""
 
 
 def joint_velocities(
@@ -422,28 +290,20 @@ def joint_velocities(
     import numpy as np
 
     from derail_ros.baselines.joints import joint_velocities as solve
-    from derail_ros.vocabulary.words import finite
+    from derail_ros.baselines.joints import train_bars
+    from derail_ros.studies.tables import Table
 
-    inertia = None
     if scenario is None:
         if settings:
-            raise CommandFailure("--set: only with a scenario")
+            raise CommandFailure("--set: needs a scenario")
         if cars < 1:
             raise CommandFailure("--cars: must be at least 1")
-        name = f"{cars} equal bars"
-        mass = np.full(cars, train_mass / cars)
-        lengths = np.full(cars, length)
+        name, inertia = f"{cars} equal bars", None
+        mass, lengths = np.full(cars, train_mass / cars), np.full(cars, length)
     else:
-        from derail_ros.baselines.train import take_apart
-
         loaded = common.load(scenario, settings)
         name = loaded.title
-        bodies = take_apart(loaded.to_params().cars)
-        mass = np.array([c.mass for c in bodies])
-        lengths = np.array(
-            [2.0 * c.pivot_distance + c.front.length + c.rear.length for c in bodies]
-        )
-        inertia = np.array([c.inertia for c in bodies])
+        mass, lengths, inertia = train_bars(loaded.to_params())
     try:
         answer = solve(mass, lengths, inertia=inertia, impulse=impulse)
     except ValueError as error:
@@ -473,28 +333,20 @@ def joint_velocities(
         )
         return OK
     from rich.markup import escape
-    from rich.table import Table
 
     console = common.out()
     console.print(f"[bold]{escape(name)}[/bold], {mass.sum() * 1e-3:.0f} t at rest")
     console.print(f"transverse impulse of {impulse:g} N s on the head of the first")
-    table = Table(box=None, pad_edge=False)
-    headings = ("joint ahead of bar", "mass (t)", "velocity (m/s)", "relative to the head",
-                "yaw rate of the bar (rad/s)")  # fmt: skip
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    shown = [b for b in bars if b["bar"] <= 12]
-    for bar in shown:
-        table.add_row(
-            str(bar["bar"]),
-            f"{bar['mass_kg'] * 1e-3:.1f}",
-            f"{bar['front_joint_m_per_s']:.4g}",
-            f"{bar['front_joint_relative']:.4g}",
-            f"{bar['yaw_rate_rad_per_s']:.4g}",
-        )
-    if len(shown) == len(bars):
-        table.add_row("tail", "", f"{answer.joint[-1]:.4g}", f"{answer.relative[-1]:.4g}", "")
-    console.print(table)
-    if len(shown) < len(bars):
-        console.print(f"and {len(bars) - len(shown)} more; --json gives all")
+    rows = [
+        [str(i + 1), f"{mass[i] * 1e-3:.1f}", f"{answer.joint[i]:.4g}",
+         f"{answer.relative[i]:.4g}", f"{answer.yaw_rate[i]:.4g}"]
+        for i in range(min(len(mass), MOST_BARS))
+    ]  # fmt: skip
+    if len(rows) == len(mass):
+        rows.append(["tail", "", f"{answer.joint[-1]:.4g}", f"{answer.relative[-1]:.4g}", ""])
+    heads = ["joint ahead of bar", "mass (t)", "velocity (m/s)", "relative to the head",
+             "yaw rate of the bar (rad/s)"]  # fmt: skip
+    common.print_tables(Table(heads, rows, texts=0))
+    if len(mass) > MOST_BARS:
+        console.print(f"and {len(mass) - MOST_BARS} more; --json gives all")
     return OK

@@ -13,13 +13,12 @@ from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.studies.ensemble import (
     VARIATION,
-    Result,
     advance,
     describe,
-    ensemble_runs,
+    ensemble_jobs,
     run_many,
 )
-from derail_ros.studies.records import Moments
+from derail_ros.studies.records import Ensemble, record_of
 from derail_ros.vocabulary.ledger import SMALL_SHARE, percentages, shares
 from derail_ros.vocabulary.measures import (
     HEADLINE,
@@ -71,7 +70,6 @@ def run(
 
     members = 1 if ensemble is None else ensemble
     records: list[Record | None] = [None] * members
-    moments = Moments()
     with common.progress(*_columns(members)) as bars:
         task = bars.add_task(scenario.name, total=members if members > 1 else None, state="")
         if members == 1 or output is not None:
@@ -79,17 +77,16 @@ def run(
             bars.update(task, advance=1)
         if members > 1:
             done = records[0] is not None
-            runs = ensemble_runs(params, members, seed=seed)
+            runs = ensemble_jobs(params, members, seed=seed)
             if done:
                 next(runs)
             with closing(run_many(runs, jobs=jobs)) as results:
                 for result in results:
-                    records[result.index + done] = _record(result)
+                    records[result.index + done] = record_of(result)
                     bars.update(task, advance=1)
     outcomes = [r for r in records if r is not None]
     warnings = [w for w in (late_break(params, outcomes[0]),) if w is not None]
-    for record in outcomes:  # in order, so that the last digits do not depend on the jobs
-        moments.add(record)
+    found = Ensemble(tuple(outcomes))
 
     report = {
         "schema": SCHEMA,
@@ -99,11 +96,11 @@ def run(
         "hash": scenario.hash,
         "seed": seed if ensemble is not None else None,
         "members": members,
-        "void": moments.void,
-        "failed": moments.failed,
+        "void": found.void,
+        "failed": found.failed,
         "outcomes": outcomes,
-        "mean": moments.mean(),
-        "sd": moments.sd(),
+        "mean": found.mean(),
+        "sd": found.sd(),
         "model": params.model,
         "notes": {},
         "warnings": warnings,
@@ -116,12 +113,12 @@ def run(
         _print(report, output, verbose)
     for warning in warnings:
         note(f"derail: warning: {warning}")
-    if moments.failed:
+    if found.failed:
         for i, record in enumerate(outcomes):
             if "error" in record:
                 note(f"derail: member {i} failed: {record['error']}")
                 break
-    return FAILED if moments.failed == members else OK
+    return FAILED if found.failed == members else OK
 
 
 def late_break(params: TrainParams, record: Record) -> str | None:
@@ -194,12 +191,6 @@ def _record_run(simulation: Simulation, scenario: Scenario, path: Path, progress
         record_run(simulation, scenario, path, progress=progress)
     except (RecordingError, OSError) as error:
         raise CommandFailure(f"{path}: {error}", FAILED) from None
-
-
-def _record(result: Result) -> Record:
-    if result.error is not None:
-        return failed_record(result.error, result.wall_s)
-    return outcome_record(result.outcome, result.wall_s)
 
 
 # Files -------------------------------------------------------------------------------------
@@ -288,7 +279,8 @@ NOT_AT_REST = "the run ended at its time limit, not at rest (integration.time_li
 
 def stopped_by(record: Record) -> str:
     """What share of the energy at the start went where."""
-    ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
+    ledger = {k: v for k, v in (record.get("energy_J") or {}).items() if v is not None}
+    ranked = [(e.words, share) for e, _, share in shares(ledger)]
     large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]
     numbers = percentages([share for _, share in large])
     return ", ".join(f"{words} {n} %" for (words, _), n in zip(large, numbers))
@@ -301,9 +293,9 @@ def _print(report: Record, output: Path | None, verbose: bool) -> None:
     console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
     outcomes = report["outcomes"]
     if report["members"] == 1:
-        console.print(_one(outcomes[0], verbose))
+        console.print(one_run(outcomes[0], verbose))
     else:
-        console.print(_many(report, verbose))
+        console.print(many_runs(report, verbose))
     if output is not None:
         console.print(f"results in {escape(str(output))}{_of_which(report)}", soft_wrap=True)
 
@@ -330,7 +322,7 @@ def _rows(verbose: bool) -> list[Measure]:
     return [m for m in MEASURES.values() if m.group in groups]
 
 
-def _one(record: Record, verbose: bool) -> Any:
+def one_run(record: Record, verbose: bool = False) -> Any:
     table = _table()
     table.add_column("outcome")
     table.add_column("")
@@ -350,7 +342,7 @@ def _one(record: Record, verbose: bool) -> Any:
 VOID_WORDS = ": the body that stands for the cars behind reached a break; model more cars"
 
 
-def _many(report: Record, verbose: bool) -> Any:
+def many_runs(report: Record, verbose: bool = False) -> Any:
 
     table = _table()
     table.add_column("ensemble")

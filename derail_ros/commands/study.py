@@ -13,20 +13,9 @@ from derail_ros.vocabulary.words import count
 if TYPE_CHECKING:
     from derail_ros.studies.results import StudyResults
 
-NEEDED = "derail study needs what the extra 'studies' brings: pip install 'derail_ros[studies]'"
-
 
 def _need_extra() -> None:
-    import importlib.util
-
-    for module in ("pandas", "pyarrow", "scipy", "SALib"):
-        if importlib.util.find_spec(module) is None:
-            raise CommandFailure(f"{NEEDED} ({module} is missing)")
-
-
-def default_folder(name: str) -> Path:
-    """Where results go unless another folder is named."""
-    return Path("runs") / f"study_{name}"
+    common.need_extra("derail study", "pandas", "pyarrow", "scipy", "SALib")
 
 
 def run(
@@ -49,10 +38,11 @@ def run(
     from derail_ros.studies.design import check, make
     from derail_ros.studies.ensemble import default_jobs, run_many
     from derail_ros.studies.plan import load_study
-    from derail_ros.studies.runner import TABLES, StudyError, run_study
+    from derail_ros.studies.results import TABLES, StudyError
+    from derail_ros.studies.runner import default_folder, run_study
 
     if table not in TABLES:
-        raise CommandFailure(f"--table: must be parquet or csv, not {table!r}")
+        raise CommandFailure(f"--table: must be parquet or csv, got {table!r}")
     study = load_study(name_or_file)
     study = study.changed(ensemble=ensemble, seed=seed, points=points)
     study = study.with_overrides(dict(parse_set(text) for text in settings))
@@ -99,10 +89,12 @@ def show(folder: Path, as_json: bool) -> int:
 def report(folder: Path, output: Path) -> int:
     """Write the page of results."""
     _need_extra()
+    from derail_ros.studies.page import write_report
+
     results = _results(folder)
     try:
         output.mkdir(parents=True, exist_ok=True)
-        page = results.report(output)
+        page = write_report(results, output)
     except OSError as error:
         raise CommandFailure(f"{output}: {error.strerror or error}") from None
     print(page)
@@ -112,29 +104,21 @@ def report(folder: Path, output: Path) -> int:
 def listing(as_json: bool) -> int:
     """List the studies that ship."""
     _need_extra()
-    from derail_ros.studies.plan import list_studies
+    from derail_ros.studies.design import list_studies
 
     studies = list_studies()
     if as_json:
         keys = ("name", "title", "size")
         common.print_json({"studies": [dict(zip(keys, s, strict=True)) for s in studies]})
         return OK
-    from rich.markup import escape
-    from rich.table import Table
+    from derail_ros.studies.tables import Table
 
-    table = Table(box=None, pad_edge=False)
-    table.add_column("name", style="bold", no_wrap=True)
-    table.add_column("title")
-    table.add_column("size")
-    for row in studies:
-        table.add_row(*map(escape, row))
-    common.out().print(table)
+    common.print_tables(Table(["name", "title", "size"], [list(s) for s in studies], texts=3))
     return OK
 
 
 def _results(folder: Path) -> StudyResults:
-    from derail_ros.studies.results import StudyResults
-    from derail_ros.studies.runner import StudyError
+    from derail_ros.studies.results import StudyError, StudyResults
 
     try:
         results = StudyResults(folder)
@@ -163,7 +147,9 @@ def _answer(folder: Path, as_json: bool) -> int:
 
 def answer(results: StudyResults) -> dict[str, Any]:
     """What results say, as plain data."""
+    from derail_ros.studies import statistics
     from derail_ros.studies.page import records
+    from derail_ros.studies.sentences import statements
 
     manifest = results.manifest
     return {
@@ -172,10 +158,10 @@ def answer(results: StudyResults) -> dict[str, Any]:
         "size": manifest["size"],
         "complete": manifest["complete"],
         "folder": str(results.folder),
-        "statements": results.statements(),
-        "summary": records(results.summary()),
-        "effects": records(results.effects()),
-        "counts": records(results.counts()),
+        "statements": statements(results),
+        "summary": records(statistics.summary(results)),
+        "effects": records(statistics.effects(results)),
+        "counts": records(statistics.counts(results)),
     }
 
 
@@ -185,29 +171,18 @@ MOST_POINTS = 60
 
 def _print(results: StudyResults) -> None:
     from rich.markup import escape
-    from rich.table import Table
 
-    from derail_ros.studies.page import interval, point_cells, point_heads
+    from derail_ros.studies.page import mean_table
+    from derail_ros.studies.sentences import findings
 
     console = common.out()
     console.print(f"[bold]{escape(results.manifest['title'])}[/bold]: {results.manifest['size']}")
-    summary = results.summary()
+    n = len(results.first)
     for measure in results.measures:
-        rows = summary[summary["measure"] == measure].to_dict("records")
-        title = results.manifest["measures"][measure]
-        table = Table(box=None, pad_edge=False, title=title, title_justify="left")
-        for heading in point_heads(results):
-            table.add_column(escape(heading))
-        for heading in ("runs", "mean, 95 % interval", "sd", "5 to 95 % of runs", "relative"):
-            if heading != "relative" or "relative" in summary:
-                table.add_column(heading, justify="right", no_wrap=True)
-        for row in rows[:MOST_POINTS]:
-            table.add_row(*map(escape, [*point_cells(results, row), *interval(measure, row)]))
-        console.print(table)
-        if len(rows) > MOST_POINTS:
-            console.print(f"... {len(rows) - MOST_POINTS} more points in the table of the results")
-        console.print()
-    for heading, lines in results.findings():
+        common.print_tables(mean_table(results, measure, MOST_POINTS))
+        if n > MOST_POINTS:
+            console.print(f"... {n - MOST_POINTS} more points in the table of the results\n")
+    for heading, lines in findings(results):
         if heading:
             console.print(f"[bold]{escape(heading)}[/bold]")
         for line in lines:

@@ -121,7 +121,7 @@ class Scenario:
 
     @cached_property
     def _known(self) -> dict[str, Any]:
-        return self.resolved()
+        return {"model": self.model.model, **self.resolved()}
 
     def to_params(self) -> TrainParams:
         """Parameters of the engine, SI units."""

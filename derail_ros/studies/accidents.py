@@ -89,6 +89,7 @@ class Report:
     first : place of the first car involved among the cars, from 1
     mass_kg : mean gross mass of a car; None where the report's weight cannot be right
     cause : the FRA's code of the primary cause
+    placed : the report gives the place of the first car involved; without, it is taken to be 1
     """
 
     railroad: str
@@ -101,6 +102,7 @@ class Report:
     first: int
     mass_kg: float | None
     cause: str
+    placed: bool = True
 
     @property
     def behind(self) -> int:
@@ -230,6 +232,7 @@ def _reports(lines: Any, path: Path) -> Iterator[Report]:
             min(max(position - locomotives, 1), cars),
             mass if MASSES[0] <= mass <= MASSES[1] else None,
             text["cause"].upper(),
+            position > 0,
         )
 
 
@@ -382,23 +385,6 @@ SHIPPED = "accidents.yaml"
 """The shipped statistics, among the data of this package."""
 
 
-def statistics_of(reports: Sequence[Report]) -> Statistics:
-    """Averages of the shipped groups.
-
-    Raises
-    ------
-    ValueError
-        There is no report.
-    """
-    if not reports:
-        raise ValueError("there is no freight train derailed on a main track among the reports")
-    years = [r.year for r in reports]
-    groups = {
-        name: tuple(by_speed(r for r in reports if r in group)) for name, group in GROUPS.items()
-    }
-    return Statistics(SOURCE, (min(years), max(years)), groups)
-
-
 def load_statistics() -> Statistics:
     """The statistics that come with the package."""
     import yaml
@@ -411,23 +397,3 @@ def load_statistics() -> Statistics:
         for name, group in data["groups"].items()
     }
     return Statistics(data["source"], tuple(data["years"]), groups)
-
-
-def statistics_yaml(statistics: Statistics) -> str:
-    """The file of the shipped statistics."""
-    import yaml
-
-    def rounded(value: Any) -> Any:
-        if isinstance(value, float):
-            return round(value, 3)
-        if isinstance(value, dict):
-            return {k: rounded(v) for k, v in value.items()}
-        return [rounded(v) for v in value] if isinstance(value, list) else value
-
-    head = (
-        "# Averages of accident reports, written by `derail accidents FILES --write`.\n"
-        "# Freight cars derailed of freight trains derailed on main track, by classes of speed.\n"
-    )
-    body = yaml.safe_dump(rounded(statistics.as_dict()), sort_keys=False, default_flow_style=None,
-                          width=120)  # fmt: skip
-    return head + body

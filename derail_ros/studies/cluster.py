@@ -2,7 +2,7 @@
 
 A runner like :func:`derail_ros.studies.ensemble.run_many`: it takes runs and yields results as
 they finish. A worker that dies loses what it was computing; the scheduler gives those runs to the
-others, and each run gives one result whoever computed it.
+others, and each run gives one result, whichever worker computed it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from derail_ros.studies.ensemble import Result, Run, Task, attempt, compute, never
+from derail_ros.studies.ensemble import Job, JobResult, Task, attempt, compute, never
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -29,21 +29,21 @@ class ClusterError(Exception):
     """The cluster cannot be used; the message is one line."""
 
 
-def remote(index: int, run: Run, task: Task, engine: str) -> Result | str:
+def remote(index: int, job: Job, task: Task, engine: str) -> JobResult | str:
     """Compute a run on a worker; its engine's hash instead if that is another one."""
     from derail_ros.models import engine_hash
 
     if engine_hash() != engine:
         return engine_hash()
-    return attempt(index, run, task, never)
+    return attempt(index, job, task, never)
 
 
-def on_cluster(address: str) -> Callable[..., Iterator[Result]]:
+def on_cluster(address: str) -> Callable[..., Iterator[JobResult]]:
     """The runner that sends its runs to the scheduler at ``address``."""
 
     def run(
-        runs: Iterable[Run], *, jobs: int | None = None, task: Task = compute
-    ) -> Iterator[Result]:
+        runs: Iterable[Job], *, jobs: int | None = None, task: Task = compute
+    ) -> Iterator[JobResult]:
         client = _connect(address)
         try:
             yield from _run(client, runs, jobs, task)
@@ -69,7 +69,7 @@ def _connect(address: str) -> Client:
     return client
 
 
-def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> Iterator[Result]:
+def _run(client: Client, runs: Iterable[Job], jobs: int | None, task: Task) -> Iterator[JobResult]:
     from distributed import CancelledError, as_completed
     from distributed.scheduler import KilledWorker
 
@@ -77,7 +77,7 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
 
     engine = engine_hash()
     numbered = iter(enumerate(runs))
-    sent: dict[str, tuple[int, Run]] = {}
+    sent: dict[str, tuple[int, Job]] = {}
 
     def submit() -> Future | None:
         item = next(numbered, None)
@@ -91,7 +91,7 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
     first = [f for f in (submit() for _ in range(_width(client, jobs))) if f is not None]
     flying = as_completed(first, client.loop, with_results=True, raise_errors=False)
     for future, value in flying:
-        index, run = sent.pop(future.key)
+        index, job = sent.pop(future.key)
         if future.status == "cancelled" or isinstance(value, CancelledError):
             raise ClusterError(LOST)
         if future.status == "error":
@@ -99,14 +99,14 @@ def _run(client: Client, runs: Iterable[Run], jobs: int | None, task: Task) -> I
             if not isinstance(error, KilledWorker):
                 raise ClusterError(f"--dask: a worker cannot compute runs: {_line(error)}")
             # a run that takes its worker with it, again and again, is a failed run
-            value = Result(index, run, None, f"KilledWorker: {_line(error)}", 0.0)
+            value = JobResult(index, job, None, f"KilledWorker: {_line(error)}", 0.0)
         if isinstance(value, str):
             raise ClusterError(
                 f"--dask: a worker has another version of the engine ({value[:12]}, "
                 f"not {engine[:12]}): install the same there"
             )
-        # what comes back is the run's copy: the caller knows its own
-        yield Result(index, run, value.value, value.error, value.wall_s)
+        # what comes back has a copy of the job: give the caller its own
+        yield JobResult(index, job, value.value, value.error, value.wall_s)
         future.release()
         # workers may have come or gone since
         while len(sent) < _width(client, jobs):

@@ -1,13 +1,14 @@
 """Convergence in tolerance, of single runs and of their distribution.
 
-A tighter tolerance gives the same run up to the first contact and a while beyond it; later any
+A tighter tolerance gives the same run up to the first contact and a while beyond it. Later any
 difference, however small, grows until another car is struck. What can converge after that is the
-distribution of outcomes. So ensembles of the same members are run at each tolerance, and
-compared with the tightest one in two ways: member by member (when do the two runs part, and how
-far are their outcomes apart?) and as distributions (difference of the means with its 95 %
-confidence, and the two-sample Kolmogorov-Smirnov test).
+distribution of outcomes. Ensembles of the same members are run at each tolerance and compared
+with the tightest one in two ways: member by member (when do the two runs part, and how far apart
+are their outcomes?) and as distributions (difference of the means with its 95 % confidence, and
+SciPy's two-sample Kolmogorov-Smirnov test; with ties, as counts have, its p-value errs to the
+large side).
 
-Beside them stands what two members of the *same* tolerance differ by: if a run at another
+The differences of two members of the *same* tolerance are given beside them: if a run at another
 tolerance differs from its twin by as much as from any other member, tolerance is only one more
 way to draw from the distribution.
 """
@@ -15,24 +16,17 @@ way to draw from the distribution.
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.studies.ensemble import (
-    VARIATION,
-    Result,
-    Run,
-    ScenarioLike,
-    Stopped,
-    ensemble_runs,
-    run_many,
-)
+from derail_ros.studies.ensemble import Job, ScenarioLike, Stopped, ensemble_jobs, gather
+from derail_ros.studies.records import Distribution, plain
+from derail_ros.studies.tables import Strong, Table
+from derail_ros.vocabulary.measures import MEASURES
 
 if TYPE_CHECKING:
     from derail_ros.vocabulary.outcome import Outcome
@@ -43,6 +37,9 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 SCENARIOS = ("mississauga_published", "base_train")
 REFERENCE = ("rkf45", 1e-5)
 """Integrator of the source and a tolerance for it, run beside the others."""
+
+KEYS = ("cars_derailed", "duration_s", "peak_force_N", "scene_length_m", "scene_width_m")
+"""Measures that are compared."""
 
 INTERVAL = 0.1
 """Time between two looks at the positions, s."""
@@ -55,55 +52,30 @@ Z95 = 1.959964
 
 
 @dataclass(frozen=True)
-class Measure:
-    """What is compared: name, words, unit, digits, how it is read from an outcome."""
-
-    name: str
-    label: str
-    unit: str
-    digits: int
-    read: Callable[[Outcome], float]
-
-
-MEASURES = (
-    Measure("cars_derailed", "cars derailed", "cars", 2, lambda o: o.cars_derailed),
-    Measure("duration", "duration", "s", 2, lambda o: o.duration),
-    Measure("peak_force", "peak force", "MN", 2, lambda o: o.peak_force * 1e-6),
-    Measure("scene_length", "scene length", "m", 1, lambda o: o.scene_length),
-    Measure("scene_width", "scene width", "m", 1, lambda o: o.scene_width),
-)
-
-
-@dataclass(frozen=True)
 class Trace:
     """What is kept of a run.
 
     Attributes
     ----------
     path : (T, N, 2) places of the mass centres every :data:`INTERVAL`, m
-    values : by measure; None for a run that is void
-    steps : accepted steps
-    gap : largest constraint error, m
-    residual : largest imbalance of the energy, relative
+    outcome : of the run
+    first_contact : s; inf without
     """
 
     path: F64
-    values: Mapping[str, float] | None
-    steps: int
-    gap: float
-    residual: float
+    outcome: Outcome
     first_contact: float
 
 
-def trace(run: Run, stop: Callable[[], bool]) -> Trace:
+def trace(job: Job, stop: Callable[[], bool]) -> Trace:
     """Compute a run and keep where its cars went."""
     from derail_ros import models
 
-    simulation = models.build(run.params())
+    simulation = models.build(job.params())
     path = []
     t = 0.0
     while True:
-        path.append(simulation.sample(t).q[:, :2].astype(np.float64))
+        path.append(simulation.sample(t).pose[:, :2].astype(np.float64))
         if simulation.ended:
             break
         t = INTERVAL * len(path)
@@ -112,16 +84,8 @@ def trace(run: Run, stop: Callable[[], bool]) -> Trace:
             t = max(t, simulation.time)
         if stop():
             raise Stopped
-    outcome = simulation.outcome()
-    collisions = simulation.collisions
-    return Trace(
-        path=np.array(path),
-        values=None if outcome.void else {m.name: float(m.read(outcome)) for m in MEASURES},
-        steps=outcome.steps,
-        gap=max(outcome.max_coupler_gap, outcome.max_truck_offset),
-        residual=outcome.energy_residual,
-        first_contact=min((c.start for c in collisions), default=math.inf),
-    )
+    contact = min((c.start for c in simulation.collisions), default=math.inf)
+    return Trace(np.array(path), simulation.outcome(), contact)
 
 
 def parted(a: F64, b: F64, distance: float = APART) -> float:
@@ -131,127 +95,84 @@ def parted(a: F64, b: F64, distance: float = APART) -> float:
     return float(np.argmax(away)) * INTERVAL if away.any() else math.inf
 
 
-def ks_two_sample(a: F64, b: F64) -> tuple[float, float]:
-    """Largest distance of two empirical distributions, and its asymptotic p-value.
-
-    With ties, as counts have, the p-value errs to the safe side (too large).
-    """
-    points = np.concatenate([a, b])
-    low = np.searchsorted(np.sort(a), points, side="right") / len(a)
-    high = np.searchsorted(np.sort(b), points, side="right") / len(b)
-    d = float(np.abs(low - high).max())
-    n = len(a) * len(b) / (len(a) + len(b))
-    x = (math.sqrt(n) + 0.12 + 0.11 / math.sqrt(n)) * d
-    if x < 0.2:
-        return d, 1.0
-    p = 2.0 * sum((-1) ** (k - 1) * math.exp(-2.0 * k * k * x * x) for k in range(1, 101))
-    return d, min(max(p, 0.0), 1.0)
-
-
 @dataclass(frozen=True)
 class Comparison:
-    """One measure at one tolerance against the tightest.
+    """One measure at one tolerance against the tightest, SI units.
 
     Attributes
     ----------
-    mean, half : mean at this tolerance, half width of its 95 % confidence
-    difference, difference_half : of the mean from that at the tightest, and its 95 % confidence
-    distance, p : Kolmogorov-Smirnov
-    twins : median difference of a member from itself at the tightest tolerance
-    strangers : median difference of two members of the tightest
+    mean, mean_95 : mean at this tolerance, half width of its 95 % confidence
+    difference, difference_95 : of the mean from that at the tightest, and its 95 % confidence
+    ks_distance, ks_p : Kolmogorov-Smirnov
+    median_difference_of_twins : of members from themselves at the tightest tolerance
+    median_difference_of_members : of two members of the tightest
     """
 
     mean: float
-    half: float
+    mean_95: float
     difference: float
-    difference_half: float
-    distance: float
-    p: float
-    twins: float
-    strangers: float
+    difference_95: float
+    ks_distance: float
+    ks_p: float
+    median_difference_of_twins: float
+    median_difference_of_members: float
 
     @property
     def agrees(self) -> bool:
-        """The confidence interval of the difference holds zero."""
-        return abs(self.difference) <= self.difference_half + 1e-12
+        """The confidence interval of the difference contains zero."""
+        return abs(self.difference) <= self.difference_95 + 1e-12
 
 
-def compare(values: F64, tightest: F64, twins: F64) -> Comparison:
-    """Compare two ensembles; ``twins`` are the differences member by member."""
+def compare(key: str, values: F64, tightest: F64) -> Comparison:
+    """Compare two ensembles of the same members."""
+    from scipy.stats import ks_2samp
 
-    def error(x: F64) -> float:
-        return float(x.std(ddof=1) / math.sqrt(len(x)))
-
-    i, j = np.triu_indices(len(tightest), 1)
-    distance, p = ks_two_sample(values, tightest)
+    if not len(values):
+        return Comparison(*[math.nan] * 8)
+    here, there = (Distribution(MEASURES[key], x) for x in (values, tightest))
+    test = ks_2samp(values, tightest)
     return Comparison(
-        mean=float(values.mean()),
-        half=Z95 * error(values),
-        difference=float(values.mean() - tightest.mean()),
-        difference_half=Z95 * math.hypot(error(values), error(tightest)),
-        distance=distance,
-        p=p,
-        twins=float(np.median(np.abs(twins))),
-        strangers=float(np.median(np.abs(tightest[i] - tightest[j]))),
+        mean=here.mean,
+        mean_95=Z95 * here.error,
+        difference=here.mean - there.mean,
+        difference_95=Z95 * math.hypot(here.error, there.error),
+        ks_distance=float(test.statistic),
+        ks_p=float(test.pvalue),
+        median_difference_of_twins=float(np.median(np.abs(values - tightest))),
+        median_difference_of_members=there.apart,
     )
 
 
 @dataclass(frozen=True)
-class Level:
-    """An ensemble at one tolerance.
+class Tolerance:
+    """An ensemble at one tolerance, compared with the tightest.
 
     Attributes
     ----------
     rtol : tolerance
-    method : integrator; "" for the scenario's own
+    method : integrator; None for the scenario's own
     members : runs that count, here and at the tightest
     steps : median number
-    gap, residual : largest constraint error (m) and energy imbalance of all
-    partings : (members,) when each parts from itself at the tightest tolerance, s
-    contacts : (members,) first contact, s
-    measures : by name
+    largest_constraint_error_m, largest_energy_residual : of all members
+    parted_s : (members,) when each parts from itself at the tightest tolerance; inf: never
+    first_contact_s : (members,) inf without
+    measures : by key
     """
 
     rtol: float
-    method: str
+    method: str | None
     members: int
     steps: float
-    gap: float
-    residual: float
-    partings: F64
-    contacts: F64
-    measures: Mapping[str, Comparison]
+    largest_constraint_error_m: float
+    largest_energy_residual: float
+    parted_s: list[float]
+    first_contact_s: list[float]
+    measures: dict[str, Comparison]
 
     @property
     def label(self) -> str:
         """The tolerance, with the integrator if it is another."""
         return f"{self.method} {power(self.rtol)}" if self.method else power(self.rtol)
-
-    def as_dict(self) -> dict[str, Any]:
-        """As plain data."""
-        return {
-            "rtol": self.rtol,
-            "method": self.method or None,
-            "members": self.members,
-            "steps": self.steps,
-            "largest_constraint_error_m": self.gap,
-            "largest_energy_residual": self.residual,
-            "parted_s": [t if math.isfinite(t) else None for t in self.partings.tolist()],
-            "first_contact_s": [t if math.isfinite(t) else None for t in self.contacts.tolist()],
-            "measures": {
-                name: {
-                    "mean": c.mean,
-                    "mean_95": c.half,
-                    "difference": c.difference,
-                    "difference_95": c.difference_half,
-                    "ks_distance": c.distance,
-                    "ks_p": c.p,
-                    "median_difference_of_twins": c.twins,
-                    "median_difference_of_members": c.strangers,
-                }
-                for name, c in self.measures.items()
-            },
-        }
 
 
 @dataclass(frozen=True)
@@ -260,39 +181,36 @@ class Convergence:
 
     Attributes
     ----------
-    name, title : of the scenario
-    method, default_rtol : of the scenario
-    levels : of its own integrator
+    scenario, title, method, default_rtol : of the scenario
+    tolerances : of its own integrator
     reference : another integrator
     """
 
-    name: str
+    scenario: str
     title: str
     method: str
     default_rtol: float
-    levels: tuple[Level, ...]
-    reference: Level | None = None
+    tolerances: list[Tolerance]
+    reference: Tolerance | None = None
 
     @property
-    def all(self) -> tuple[Level, ...]:
+    def tightest(self) -> Tolerance:
+        """What the others are compared with."""
+        return self.tolerances[-1]
+
+    @property
+    def all(self) -> list[Tolerance]:
         """With the reference."""
-        return self.levels if self.reference is None else (*self.levels, self.reference)
+        return [*self.tolerances, *([self.reference] if self.reference else [])]
 
     @property
-    def compared(self) -> tuple[Level, ...]:
+    def compared(self) -> list[Tolerance]:
         """All but the tightest."""
-        return tuple(level for level in self.all if level is not self.levels[-1])
+        return [t for t in self.all if t is not self.tightest]
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data."""
-        return {
-            "scenario": self.name,
-            "title": self.title,
-            "method": self.method,
-            "default_rtol": self.default_rtol,
-            "tolerances": [level.as_dict() for level in self.levels],
-            "reference": None if self.reference is None else self.reference.as_dict(),
-        }
+        return plain(asdict(self))
 
 
 def convergence(
@@ -302,12 +220,18 @@ def convergence(
     *,
     tolerances: Sequence[float] = TOLERANCES,
     reference: tuple[str, float] | None = REFERENCE,
-    jobs: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run: Callable[..., Iterator[Result]] = run_many,
-    task: Callable[[Run, Callable[[], bool]], Trace] = trace,
+    **how: Any,
 ) -> Convergence:
     """Run an ensemble at each tolerance and compare with the tightest.
+
+    Parameters
+    ----------
+    members : runs a tolerance
+    seed : of the variation of the lateral force
+    tolerances : of the scenario's integrator
+    reference : another integrator and its tolerance
+    how : ``jobs``, ``run``, ``task`` and ``progress`` of
+        :func:`derail_ros.studies.ensemble.gather`
 
     Raises
     ------
@@ -318,72 +242,71 @@ def convergence(
     if len(rtols) < 2:
         raise ValueError("tolerances: at least two are compared")
     if members < 3:
-        raise ValueError(f"members: must be at least 3, not {members}")
+        raise ValueError(f"members must be at least 3, got {members}")
     integration = scenario.to_params().integration
-    wanted: list[tuple[float, str]] = [(rtol, "") for rtol in rtols]
+    wanted: list[tuple[float, str | None]] = [(rtol, None) for rtol in rtols]
     if reference is not None and reference[0] != integration.method:
         wanted.append((reference[1], reference[0]))
-    total, done = members * len(wanted), 0
-    traces: list[list[Any]] = [[None] * members for _ in wanted]
 
-    def runs() -> Iterator[Run]:
-        for key, (rtol, method) in enumerate(wanted):
-            overrides: dict[str, Any] = {"integration.rtol": rtol}
+    def runs() -> Iterator[Job]:
+        for rtol, method in wanted:
+            settings: dict[str, Any] = {"integration.rtol": rtol}
             if method:
-                overrides["integration.method"] = method
-            yield from ensemble_runs(scenario, members, seed=seed, overrides=overrides, key=key)
+                settings["integration.method"] = method
+            yield from ensemble_jobs(
+                scenario, members, seed=seed, overrides=settings, key=(rtol, method)
+            )
 
-    with closing(run(runs(), jobs=jobs, task=task)) as results:
+    found = gather(runs(), **{"task": trace, **how})
+    for (rtol, _), results in found.items():
         for result in results:
             if result.error is not None:
-                rtol = wanted[result.run.key][0]
-                raise RuntimeError(f"member {result.run.member} at rtol {rtol:g}: {result.error}")
-            traces[result.run.key][result.run.member] = result.value
-            done += 1
-            if progress is not None:
-                progress(done, total)
-    tightest = traces[len(rtols) - 1]
-    levels = [_level(*w, t, tightest) for w, t in zip(wanted, traces, strict=True)]
+                raise RuntimeError(f"member {result.job.member} at rtol {rtol:g}: {result.error}")
+    traces = {key: [result.value for result in results] for key, results in found.items()}
+    levels = [_tolerance(*key, traces[key], traces[rtols[-1], None]) for key in wanted]
     return Convergence(
-        name=getattr(scenario, "name", ""),
-        title=getattr(scenario, "title", ""),
-        method=integration.method,
-        default_rtol=integration.rtol,
-        levels=tuple(levels[: len(rtols)]),
-        reference=levels[-1] if len(levels) > len(rtols) else None,
+        getattr(scenario, "name", ""),
+        getattr(scenario, "title", ""),
+        integration.method,
+        integration.rtol,
+        levels[: len(rtols)],
+        levels[-1] if len(levels) > len(rtols) else None,
     )
 
 
-def _level(rtol: float, method: str, traces: Sequence[Trace], tightest: Sequence[Trace]) -> Level:
+def _tolerance(
+    rtol: float, method: str | None, traces: Sequence[Trace], tightest: Sequence[Trace]
+) -> Tolerance:
     both = [
         (a, b)
         for a, b in zip(traces, tightest, strict=True)
-        if a.values is not None and b.values is not None
+        if not a.outcome.void and not b.outcome.void
     ]
     if len(both) < 3:
         raise RuntimeError(f"only {len(both)} runs at rtol {rtol:g} are not void")
+    here = [a.outcome for a, _ in both]
     measures = {}
-    for m in MEASURES:
-        values = np.array([a.values[m.name] for a, _ in both])  # type: ignore[index]
-        other = np.array([b.values[m.name] for _, b in both])  # type: ignore[index]
-        measures[m.name] = compare(values, other, values - other)
-    return Level(
+    for key in KEYS:
+        of = MEASURES[key].of
+        values = np.array([[float(of(t.outcome)) for t in pair] for pair in both])
+        measures[key] = compare(key, *values[np.isfinite(values).all(axis=1)].T)
+    return Tolerance(
         rtol=rtol,
         method=method,
         members=len(both),
-        steps=float(np.median([a.steps for a, _ in both])),
-        gap=max(a.gap for a, _ in both),
-        residual=max(a.residual for a, _ in both),
-        partings=np.array([parted(a.path, b.path) for a, b in both]),
-        contacts=np.array([a.first_contact for a, _ in both]),
+        steps=float(np.median([o.steps for o in here])),
+        largest_constraint_error_m=max(max(o.max_coupler_gap, o.max_truck_offset) for o in here),
+        largest_energy_residual=max(o.energy_residual for o in here),
+        parted_s=[parted(a.path, b.path) for a, b in both],
+        first_contact_s=[a.first_contact for a, _ in both],
         measures=measures,
     )
 
 
-# Words -------------------------------------------------------------------------------------
+# Words and tables --------------------------------------------------------------------------
 
 
-def median_time(times: F64) -> str:
+def median_time(times: Sequence[float]) -> str:
     """Median of times of which some may be infinite (never)."""
     middle = float(np.median(times)) if np.isfinite(times).any() else math.inf
     return f"{middle:.1f}" if math.isfinite(middle) else "never"
@@ -395,86 +318,21 @@ def power(rtol: float) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-def markdown(studies: Sequence[Convergence], members: int, seed: int, image: str) -> str:
-    """The page ``docs/convergence.md``; ``image`` is the figure's path from there."""
-    intro = (
-        "Each scenario is run as an ensemble at each tolerance, always with the same "
-        f"{members} lateral forces (varied by up to {100 * VARIATION:g} %, seed {seed}), and "
-        "compared with the tightest. Single runs cannot converge for long after cars have "
-        f"collided: a member and its twin at another tolerance part, here by {100 * APART:g} cm, "
-        "and go their own ways; a tighter tolerance only puts that off. What converges is the "
-        "distribution."
-    )
-    lines = [
-        "# Convergence in tolerance",
-        "",
-        "Written by `derail convergence --write`; do not edit.",
-        "",
-        *textwrap.wrap(intro, 99),
-        "",
-        f"![Convergence in tolerance]({image})",
-    ]
-    for study in studies:
-        tight = study.levels[-1].rtol
-        contact = float(np.median(study.levels[-1].contacts))
-        lines += [
-            "",
-            f"## {study.title}",
-            "",
-            *textwrap.wrap(
-                f"`{study.name}`, integrator `{study.method}`, default tolerance "
-                f"{power(study.default_rtol)}; first contact at {contact:.1f} s (median).",
-                99,
-            ),
-            "",
-            "| rtol | steps | parted at (s) | largest constraint error (m) | energy residual |",
-            "|---|---|---|---|---|",
-        ]
-        for level in study.all:
-            when = "" if level is study.levels[-1] else median_time(level.partings)
-            lines.append(
-                f"| {level.label} | {level.steps:.0f} | {when} | {level.gap:.1e} | "
-                f"{level.residual:.1e} |"
-            )
-        note = (
-            f"Difference of the ensemble's mean from that at {power(tight)} with its 95 % "
-            "confidence; in parentheses the p-value of the Kolmogorov-Smirnov test that both "
-            "are draws from one distribution. Bold: the confidence interval does not hold zero; "
-            "by chance one in twenty does not."
-        )
-        heads = " | ".join(f"{m.label} ({m.unit})" for m in MEASURES)
-        lines += [
-            "",
-            *textwrap.wrap(note, 99),
-            "",
-            f"| rtol | {heads} |",
-            "|---|" + "---|" * len(MEASURES),
-        ]
-        for level in study.compared:
-            cells = []
-            for m in MEASURES:
-                c = level.measures[m.name]
-                text = (
-                    f"{c.difference:+.{m.digits}f} ± {c.difference_half:.{m.digits}f} ({c.p:.2f})"
-                )
-                cells.append(text if c.agrees else f"**{text}**")
-            lines.append(f"| {level.label} | " + " | ".join(cells) + " |")
-        note = (
-            f"Median difference of a member from its twin at {power(tight)}; in the last row of "
-            "two different members. Where they are alike, the tolerance is one more way to draw "
-            "from the distribution."
-        )
-        lines += [
-            "",
-            *textwrap.wrap(note, 99),
-            "",
-            f"| rtol | {heads} |",
-            "|---|" + "---|" * len(MEASURES),
-        ]
-        for level in study.compared:
-            cells = [f"{level.measures[m.name].twins:.{m.digits}f}" for m in MEASURES]
-            lines.append(f"| {level.label} | " + " | ".join(cells) + " |")
-        cells = [f"{study.levels[-1].measures[m.name].strangers:.{m.digits}f}" for m in MEASURES]
-        lines.append("| other members | " + " | ".join(cells) + " |")
-    lines.append("")
-    return "\n".join(lines)
+def shown(key: str, value: float) -> str:
+    """A mean; that of a count with one digit more."""
+    m = MEASURES[key]
+    return m.shown(value, int(m.whole))
+
+
+def mean_table(study: Convergence) -> Table:
+    """Steps, when runs part, and the means with their 95 % confidence."""
+    rows = []
+    for level in study.all:
+        cells = []
+        for key, c in level.measures.items():
+            text = f"{shown(key, c.mean)} ± {shown(key, c.mean_95)}"
+            cells.append(text if c.agrees else Strong(text))
+        when = "" if level is study.tightest else median_time(level.parted_s)
+        rows.append([level.label, f"{level.steps:.0f}", when, *cells])
+    heads = ["rtol", "steps", "parted (s)", *(MEASURES[key].title for key in KEYS)]
+    return Table(heads, rows, study.title)

@@ -1,7 +1,7 @@
 """Designs: from what a study varies to its points, each a set of overrides.
 
-A point is made when it is asked for, from its number alone, so that a study of 100 000 points
-costs no more memory than its values in the parameters.
+A point is made from its number alone when it is asked for. The memory that a study needs is that
+of its values in the parameters, also with 100 000 points.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,8 @@ from derail_ros.studies.plan import (
     Parameter,
     Study,
     fill,
-    label_of,
+    load_study,
+    shipped,
 )
 from derail_ros.vocabulary.words import count
 
@@ -110,10 +112,25 @@ class Design(Sequence[Point]):
         """Number of runs."""
         return len(self) * self.study.model.ensemble
 
+    @cached_property
+    def base(self) -> int | None:
+        """Number of the point that others are compared with; None without."""
+        base = self.study.model.base
+        if base is None:
+            return None
+        for point in self:
+            if all(point.columns[name] == value for name, value in base.items()):
+                return point.index
+        return None
+
     def size(self) -> str:
         """The number of runs in words."""
         n, e = len(self), self.study.model.ensemble
         return f"{n} points x {count(e, 'run')} = {self.runs} runs"
+
+    def words(self, point: Point) -> str:
+        """A point in a few words."""
+        return self.study.values(point.columns)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
@@ -129,21 +146,13 @@ class Design(Sequence[Point]):
     def point(self, index: int) -> Point:
         """The point with a number."""
 
-    def _join(self, index: int, levels: Sequence[Level], varied: str = "") -> Point:
+    def _join(self, index: int, levels: Sequence[Level]) -> Point:
         columns = {axis.name: level.value for axis, level in zip(self.axes, levels, strict=True)}
         overrides: dict[str, Any] = {}
         for level in levels:
             overrides |= level.overrides
-        place: Place = ("parameters",)
-        if varied:
-            place = next(
-                level.place
-                for axis, level in zip(self.axes, levels, strict=True)
-                if axis.name == varied
-            )
-        elif len(levels) == 1:
-            place = levels[0].place
-        return Point(index, columns, overrides, varied, place)
+        place: Place = levels[0].place if len(levels) == 1 else ("parameters",)
+        return Point(index, columns, overrides, "", place)
 
 
 class OneAtATime(Design):
@@ -162,6 +171,11 @@ class OneAtATime(Design):
     def __len__(self) -> int:
         return 1 + len(self._others)
 
+    @cached_property
+    def base(self) -> int | None:
+        """The base scenario itself."""
+        return 0
+
     def point(self, index: int) -> Point:
         """Point 0 is the base scenario itself."""
         levels = list(self._bases)
@@ -172,6 +186,12 @@ class OneAtATime(Design):
         levels[axis] = level
         columns = self._join(index, levels).columns
         return Point(index, columns, level.overrides, self.axes[axis].name, level.place)
+
+    def words(self, point: Point) -> str:
+        """What differs from the base."""
+        if not point.varied:
+            return "base"
+        return self.study.values({point.varied: point.columns[point.varied]})
 
 
 class Grid(Design):
@@ -249,12 +269,31 @@ class Cases(Design):
         columns = {name: case.at[name] for name in model.columns}
         return Point(index, columns, overrides, "", place)
 
+    def words(self, point: Point) -> str:
+        """Texts as they are, numbers with their names."""
+        return ", ".join(
+            v if isinstance(v, str) else self.study.values({k: v})
+            for k, v in point.columns.items()
+        )
+
 
 def _other_train_fields(train: Mapping[str, Any]) -> dict[str, Any]:
     return {p: v for p, v in train.items() if not p.startswith("train.consist")}
 
 
 # --- making -----------------------------------------------------------------------------------
+
+
+def list_studies() -> list[tuple[str, str, str]]:
+    """Name, title and size of every shipped study."""
+    found = []
+    for path in shipped():
+        try:
+            design = make(load_study(path))
+            found.append((path.stem, design.study.model.title, design.size()))
+        except ScenarioError as error:
+            found.append((path.stem, f"(cannot be read: {error})", ""))
+    return found
 
 
 def make(study: Study) -> Design:
@@ -291,7 +330,8 @@ def make(study: Study) -> Design:
         raise study.error(("design",), f"makes more than {MAX_RUNS} runs: {design.runs}")
     if len(design) < 2:
         raise study.error(("design",), "makes a single point: nothing is compared")
-    _check_base(design)
+    if study.model.base is not None and design.base is None:
+        raise study.error(("base",), "is none of the points of the study")
     return design
 
 
@@ -360,51 +400,33 @@ def _axis(study: Study, name: str, p: Parameter) -> Axis:
 
 def _quantile(distribution: Distribution) -> Callable[[float], float]:
     """The inverse of a distribution function."""
-    if distribution.triangular is not None:
-        low, mode, high = (
-            distribution.triangular.low,
-            distribution.triangular.mode,
-            distribution.triangular.high,
-        )
-        share = (mode - low) / (high - low)
+    from scipy.stats import triang, truncnorm
 
-        def triangular(u: float) -> float:
-            if u < share:
-                return low + math.sqrt(u * (high - low) * (mode - low))
-            return high - math.sqrt((1.0 - u) * (high - low) * (high - mode))
+    if (t := distribution.triangular) is not None:
+        law = triang((t.mode - t.low) / (t.high - t.low), t.low, t.high - t.low)
+        return lambda u: float(law.ppf(u))
 
-        return triangular
+    def standard(low: float, high: float) -> Callable[[float], float]:
+        law = truncnorm(low, high)
+        # the ends of an open distribution lie at infinity
+        return lambda u: float(law.ppf(min(max(u, 1e-12), 1.0 - 1e-12)))
 
-    from scipy.special import ndtr, ndtri
-
-    normal, lognormal = distribution.normal, distribution.lognormal
-
-    def cut(z_low: float, z_high: float) -> Callable[[float], float]:
-        below, above = float(ndtr(z_low)), float(ndtr(z_high))
-
-        def z(u: float) -> float:
-            share = below + (above - below) * u
-            # the ends of an open distribution lie at infinity
-            return float(np.clip(ndtri(min(max(share, 1e-12), 1.0 - 1e-12)), z_low, z_high))
-
-        return z
-
-    if normal is not None:
-        mean, sd = normal.mean, normal.sd
-        z = cut(
-            -math.inf if normal.low is None else (normal.low - mean) / sd,
-            math.inf if normal.high is None else (normal.high - mean) / sd,
-        )
+    if (n := distribution.normal) is not None:
+        mean, sd = n.mean, n.sd
+        ends = [end if value is None else (value - mean) / sd
+                for value, end in ((n.low, -math.inf), (n.high, math.inf))]  # fmt: skip
+        z = standard(*ends)
         return lambda u: mean + sd * z(u)
-    assert lognormal is not None
-    median, sigma = lognormal.median, lognormal.sigma
+    ln = distribution.lognormal
+    assert ln is not None
+    median, sigma = ln.median, ln.sigma
 
-    def score(value: float | None, none: float) -> float:
+    def score(value: float | None, end: float) -> float:
         if value is None:
-            return none
+            return end
         return math.log(value / median) / sigma if value > 0.0 else -math.inf
 
-    z = cut(score(lognormal.low, -math.inf), score(lognormal.high, math.inf))
+    z = standard(score(ln.low, -math.inf), score(ln.high, math.inf))
     return lambda u: median * math.exp(sigma * z(u))
 
 
@@ -450,38 +472,21 @@ def _percent_level(study: Study, p: Parameter, base: Any, percent: float, place:
     return Level(value, {p.path or "": value}, place)
 
 
-def _check_base(design: Design) -> None:
-    """The base of a study in another design than one at a time is one of its points."""
-    base = design.study.model.base
-    if base is None or design.study.model.design == "one_at_a_time":
-        return
-    if base_index(design) is None:
-        raise design.study.error(("base",), "is none of the points of the study")
-
-
-def base_index(design: Design) -> int | None:
-    """The number of the point that others are compared with; None without."""
-    base = design.study.model.base
-    if design.study.model.design == "one_at_a_time":
-        return 0
-    if base is None:
-        return None
-    for point in design:
-        if all(point.columns[name] == value for name, value in base.items()):
-            return point.index
-    return None
-
-
 # --- checking ---------------------------------------------------------------------------------
 
 
 def _overridden(
-    study: Study, scenario: Scenario, overrides: Mapping[str, Any], place: Place
+    study: Study, scenario: Scenario, overrides: Mapping[str, Any], place: Place, at: str = ""
 ) -> Scenario:
+    """A scenario with overrides; an error names ``place``, or the parameter whose path it is."""
     try:
         return scenario.with_overrides(overrides)
     except ScenarioError as error:
-        text = f"{error.field}: {error.reason}" if error.field else error.reason
+        text = at + (f"{error.field}: {error.reason}" if error.field else error.reason)
+        if at:
+            for name, p in study.model.parameters.items():
+                if p.path is not None and error.field.startswith(p.path):
+                    place = ("parameters", name)
         raise study.error(place, text) from None
 
 
@@ -496,18 +501,9 @@ def scenario_at(design: Design, point: Point) -> Scenario:
     study = design.study
     if not point.overrides:
         return study.scenario
-    try:
-        return study.scenario.with_overrides(point.overrides)
-    except ScenarioError as error:
-        text = f"{error.field}: {error.reason}" if error.field else error.reason
-        place = point.place
-        if place == ("parameters",):
-            # of several parameters the one whose path it is, if there is such a one
-            text = f"at {label_of(point.columns, study)}: {text}"
-            for name, p in study.model.parameters.items():
-                if p.path is not None and error.field.startswith(p.path):
-                    place = ("parameters", name)
-        raise study.error(place, text) from None
+    several = point.place == ("parameters",)
+    at = f"at {study.values(point.columns)}: " if several else ""
+    return _overridden(study, study.scenario, point.overrides, point.place, at)
 
 
 ENGINE_CHECKS = 200
@@ -543,7 +539,7 @@ def check(design: Design, tell: Callable[[int], None] | None = None) -> str:
             try:
                 models.build(scenario.to_params())
             except ParameterError as error:
-                text = f"at {label_of(point.columns, design.study)}: {error}"
+                text = f"at {design.study.values(point.columns)}: {error}"
                 raise design.study.error(point.place, text) from None
         if tell is not None:
             tell(point.index + 1)

@@ -1,11 +1,10 @@
-"""The reconstructed constants in doubt, all of them at once.
+"""Ensembles in which the reconstructed constants vary too.
 
-An ensemble varies the force that starts the motion: it shows what chance does. The constants that
-the surviving copy of the source lost do not vary in it. Where the largest force falls before
-chance has grown, all runs have the same one, and a band from chance alone is far narrower than
-what is not known about the model. So each member of a *doubtful* ensemble has constants of its
-own as well, drawn independently and uniformly from the ranges below. The ranges are what the
-source leaves open; the same draws are used for every case.
+An ensemble varies the force that starts the motion. The constants that the surviving copy of the
+source lost are the same in all its runs. Where the largest force occurs early, all runs have the
+same one, and the band is narrower than what is not known about the model. Each member of a
+*doubtful* ensemble has constants of its own, drawn independently and uniformly from the ranges
+below: what the source leaves open. The same draws are used for every case.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.studies.ensemble import Run, ScenarioLike
+from derail_ros.studies.ensemble import Job, ScenarioLike
 
 
 @dataclass(frozen=True)
@@ -74,12 +73,12 @@ def draw(seed: int, member: int, doubts: Sequence[Doubt] = DOUBTS) -> Mapping[st
     return {d.path: d.at(float(u)) for d, u in zip(doubts, shares, strict=True)}
 
 
-def doubtful_runs(
+def doubtful_jobs(
     scenario: ScenarioLike, members: int, *, seed: int = 0, key: Any = None
-) -> Iterator[Run]:
-    """The members of a doubtful ensemble: lateral forces as in ``ensemble_runs``.
+) -> Iterator[Job]:
+    """The members of a doubtful ensemble: lateral forces as in ``ensemble_jobs``.
 
-    The traction coefficient plays a part in runs whose brakes are limited by traction alone.
+    The traction coefficient matters only in runs whose brakes are limited by traction.
     """
     for member in range(members):
-        yield Run(scenario, overrides=draw(seed, member), member=member, seed=seed, key=key)
+        yield Job(scenario, overrides=draw(seed, member), member=member, seed=seed, key=key)

@@ -1,17 +1,16 @@
-"""The one runner of many runs: ensembles, studies, validation.
+"""Running many runs: ensembles, studies, comparisons.
 
-A :class:`Run` says what to compute (a scenario, overrides, the member of an ensemble), a
-:class:`Result` what came of it. :func:`run_many` takes any iterable of runs, keeps no more than a
-few in flight and none afterwards, and yields results as they finish, so that the number of runs
-is bounded by patience alone; a caller that wants to resume leaves out the runs that it has. A run
-that fails is a result with an error.
+A :class:`Job` says what to compute (a scenario, overrides, the member of an ensemble), a
+:class:`JobResult` what came of it. :func:`run_many` takes any iterable of jobs, keeps a few of
+them in flight and none afterwards, and yields results as they finish. The number of jobs is not
+bounded by memory. A caller that resumes leaves out the jobs that are done. A job that fails gives
+a result with an error.
 
-What a run computes depends on the run alone: not on the number of jobs, the order or the backend.
+A result depends on its job alone: not on the number of threads, the order or the backend.
 
-Runs go to threads of one process: the engine's kernels release the interpreter's lock for whole
+Jobs go to threads of one process: the engine's kernels release the interpreter's lock for whole
 stretches of a run. Two threads spend the same processor time on a run as one (24 Mississauga
-runs: 11.7 s against 11.6 s), without the seconds and the 200 MB a worker process takes to start,
-and there is nothing left behind when the command is stopped.
+runs: 11.7 s against 11.6 s). A worker process would take seconds and 200 MB to start.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -35,8 +35,8 @@ VARIATION = 0.04
 """Half width of the variation of the lateral force over an ensemble, relative."""
 
 SLICE = 2.0
-"""Simulated time between two looks at the stop flag and at progress, s. It does not change the
-results: the engine takes its own steps whatever it is asked for."""
+"""Simulated time between two checks of the stop flag, s. It does not change the results: the
+engine takes its own steps."""
 
 
 class ScenarioLike(Protocol):
@@ -54,11 +54,11 @@ def member_factor(seed: int, member: int, variation: float = VARIATION) -> float
     """Factor on the lateral forces of a member of an ensemble.
 
     Member 0 is the scenario itself (1). The others are uniform in ``1 +/- variation``, drawn from
-    a Philox stream of their own that is keyed on ``(seed, member)``: the same for any number of
-    members, jobs and any order.
+    a Philox stream that is keyed on ``(seed, member)``: the same for any number of members, of
+    threads and any order.
     """
     if seed < 0:
-        raise ValueError(f"seed: must be zero or positive, not {seed}")
+        raise ValueError(f"seed must be zero or positive, got {seed}")
     if member == 0:
         return 1.0
     sequence = np.random.SeedSequence(entropy=seed, spawn_key=(member,))
@@ -67,8 +67,8 @@ def member_factor(seed: int, member: int, variation: float = VARIATION) -> float
 
 
 @dataclass(frozen=True)
-class Run:
-    """One run of a study.
+class Job:
+    """One run to compute.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Run:
     member : number within its ensemble, from 0
     seed : seed of the ensemble
     variation : half width of the lateral force's variation, relative
-    key : the caller's name for this run; given back with the result
+    key : the caller's name for this job; given back with the result
     """
 
     scenario: ScenarioLike | TrainParams
@@ -87,18 +87,21 @@ class Run:
     variation: float = VARIATION
     key: Any = None
 
+    @property
+    def factor(self) -> float:
+        """Factor on the lateral forces."""
+        return member_factor(self.seed, self.member, self.variation)
+
     def params(self) -> TrainParams:
         """The engine's parameters of this run."""
-        if hasattr(self.scenario, "to_params"):
-            scenario = self.scenario
+        scenario: Any = self.scenario
+        if hasattr(scenario, "to_params"):
             if self.overrides:
                 scenario = scenario.with_overrides(self.overrides)
-            params = scenario.to_params()
+            scenario = scenario.to_params()
         elif self.overrides:
             raise TypeError("overrides need a scenario, not the engine's parameters")
-        else:
-            params = self.scenario
-        return vary(params, member_factor(self.seed, self.member, self.variation))
+        return vary(scenario, self.factor)
 
 
 def vary(params: TrainParams, factor: float) -> TrainParams:
@@ -110,30 +113,40 @@ def vary(params: TrainParams, factor: float) -> TrainParams:
 
 
 @dataclass(frozen=True)
-class Result:
-    """What came of a run.
+class JobResult:
+    """What came of a job.
 
     Attributes
     ----------
-    index : place of the run among those given, from 0
-    run : the run
+    index : place of the job among those given, from 0
+    job : the job
     value : its outcome (or what another ``task`` gave back); None if it failed
     error : why it failed, one line; None if it did not
     wall_s : time it took, s
     """
 
     index: int
-    run: Run
+    job: Job
     value: Any
     error: str | None
     wall_s: float
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of a run that did not fail."""
+        """The outcome of a job that did not fail."""
         if self.error is not None:
             raise RuntimeError(f"run {self.index} failed: {self.error}")
         return self.value
+
+
+Task = Callable[[Job, Callable[[], bool]], Any]
+"""Computes a job: ``task(job, stop)``; ``stop()`` becomes true when the runner is closed."""
+
+Runner = Callable[..., Iterator[JobResult]]
+""":func:`run_many` or another like it."""
+
+Progress = Callable[[int, int], None]
+"""Called with the number of jobs done and the number of all."""
 
 
 def advance(
@@ -144,12 +157,12 @@ def advance(
 ) -> Outcome:
     """Run a simulation to its end in slices of simulated time and return its outcome.
 
-    ``stop`` is asked and ``progress`` told between slices.
+    ``stop`` and ``progress`` are called between slices.
 
     Raises
     ------
     Stopped
-        When ``stop`` said so.
+        ``stop`` returned true.
     SimulationError
         From the engine.
     """
@@ -164,14 +177,11 @@ def advance(
     return simulation.outcome()
 
 
-def compute(run: Run, stop: Callable[[], bool] | None = None) -> Outcome:
-    """Compute one run: the default task of :func:`run_many`."""
+def compute(job: Job, stop: Callable[[], bool] | None = None) -> Outcome:
+    """Compute one job: the default task of :func:`run_many`."""
     from derail_ros import models
 
-    return advance(models.build(run.params()), stop)
-
-
-Task = Callable[[Run, Callable[[], bool]], Any]
+    return advance(models.build(job.params()), stop)
 
 
 def describe(error: BaseException) -> str:
@@ -180,16 +190,16 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def attempt(index: int, run: Run, task: Task, stop: Callable[[], bool]) -> Result:
-    """Compute a run; what goes wrong is its result's error, all but :class:`Stopped`."""
+def attempt(index: int, job: Job, task: Task, stop: Callable[[], bool]) -> JobResult:
+    """Compute a job; an exception is its result's error, except :class:`Stopped`."""
     began = time.perf_counter()
     try:
-        value, error = task(run, stop), None
+        value, error = task(job, stop), None
     except Stopped:
         raise
-    except Exception as exception:  # whatever goes wrong in a run is that run's result
+    except Exception as exception:  # whatever goes wrong in a run is the result of that run
         value, error = None, describe(exception)
-    return Result(index, run, value, error, time.perf_counter() - began)
+    return JobResult(index, job, value, error, time.perf_counter() - began)
 
 
 def never() -> bool:
@@ -206,35 +216,32 @@ def default_jobs() -> int:
 
 
 def run_many(
-    runs: Iterable[Run],
-    *,
-    jobs: int | None = None,
-    task: Task = compute,
-) -> Iterator[Result]:
-    """Compute runs and yield their results as they finish.
+    runs: Iterable[Job], *, jobs: int | None = None, task: Task = compute
+) -> Iterator[JobResult]:
+    """Compute jobs and yield their results as they finish.
 
     Parameters
     ----------
     runs : any iterable; taken from as results are taken away
-    jobs : runs at a time; None for one per processor
-    task : ``task(run, stop) -> value``; ``stop()`` turns true when the runner is closed
+    jobs : number at a time; None for one per processor
+    task : what computes each
 
     Closing the iterator (also by an exception such as KeyboardInterrupt in the loop around it)
-    drops runs that have not begun and stops those that have.
+    drops jobs that have not begun and stops those that have.
     """
     jobs = default_jobs() if jobs is None else jobs
     if jobs < 1:
-        raise ValueError(f"jobs: must be at least 1, not {jobs}")
+        raise ValueError(f"jobs must be at least 1, got {jobs}")
     numbered = iter(enumerate(runs))
     if jobs == 1:
-        for index, run in numbered:
-            yield attempt(index, run, task, never)
+        for index, job in numbered:
+            yield attempt(index, job, task, never)
         return
 
     stopping = threading.Event()
     executor = ThreadPoolExecutor(jobs, thread_name_prefix="derail-run")
-    # A spare run per worker keeps all busy while the caller looks at a result.
-    pending: set[Future[Result]] = set()
+    # A spare job per worker keeps all busy while the caller handles a result.
+    pending: set[Future[JobResult]] = set()
     try:
         more = True
         while more or pending:
@@ -253,7 +260,7 @@ def run_many(
         executor.shutdown(wait=True, cancel_futures=True)
 
 
-def ensemble_runs(
+def ensemble_jobs(
     scenario: ScenarioLike | TrainParams,
     members: int,
     *,
@@ -261,20 +268,41 @@ def ensemble_runs(
     variation: float = VARIATION,
     overrides: Mapping[str, Any] | None = None,
     key: Any = None,
-) -> Iterator[Run]:
+) -> Iterator[Job]:
     """The members 0 to ``members - 1`` of an ensemble."""
     if members < 1:
-        raise ValueError(f"members: must be at least 1, not {members}")
+        raise ValueError(f"members must be at least 1, got {members}")
     member_factor(seed, 0)
-    base = scenario
+    base: Any = scenario
     if overrides:
-        base = scenario.with_overrides(overrides)  # type: ignore[union-attr]
+        base = base.with_overrides(overrides)
     # Built once: reading a scenario costs more than varying its parameters.
     params = base.to_params() if hasattr(base, "to_params") else base
     for member in range(members):
-        yield Run(params, member=member, seed=seed, variation=variation, key=key)
+        yield Job(params, member=member, seed=seed, variation=variation, key=key)
 
 
-def in_order(results: Iterable[Result]) -> list[Result]:
-    """All results in the order of their runs."""
-    return sorted(results, key=lambda result: result.index)
+def gather(
+    runs: Iterable[Job],
+    *,
+    jobs: int | None = None,
+    task: Task = compute,
+    run: Runner = run_many,
+    progress: Progress | None = None,
+) -> dict[Any, list[JobResult]]:
+    """Compute all jobs: key of the jobs -> their results in the order of the members.
+
+    Parameters
+    ----------
+    runs, jobs, task : as of :func:`run_many`
+    run : runner
+    progress : called after each result
+    """
+    listed = list(runs)
+    found: dict[Any, dict[int, JobResult]] = {job.key: {} for job in listed}
+    with closing(run(listed, jobs=jobs, task=task)) as results:
+        for done, result in enumerate(results, 1):
+            found[result.job.key][result.job.member] = result
+            if progress is not None:
+                progress(done, len(listed))
+    return {key: [by[m] for m in sorted(by)] for key, by in found.items()}

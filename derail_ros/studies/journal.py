@@ -1,9 +1,8 @@
 """The journal of a study: each finished run as a line, from which an interrupted study goes on.
 
-A line is written and flushed when its run is done. Whatever happens to the process, at most the
-line that was being written is lost, and its run with it: a torn end is cut off when the journal is
-opened again. Runs lie in arrays of the size of the study from the beginning, a few hundred bytes
-each, whatever the order in which they come.
+A line is a JSON object: point, member and the columns of the table of runs. It is written and
+flushed when its run is done. If the process ends, the line that was being written is lost at
+most, and its run with it: a torn end is cut off when the journal is opened again.
 """
 
 from __future__ import annotations
@@ -11,87 +10,60 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from derail_ros.studies.measures import FIELDS, TEXTS, Row
+from derail_ros.studies.study_measures import columns
+
+if TYPE_CHECKING:
+    import pandas
+
+    from derail_ros.studies.ensemble import Job
+    from derail_ros.vocabulary.outcome import Outcome
 
 FILE = "runs.journal"
-NUMBERS = tuple(name for name in FIELDS if name not in TEXTS)
+TEXTS = ("status", "error", "peak_force_pair")
+"""Columns of text, before those of numbers."""
+
+Row = dict[str, Any]
 
 
 class JournalError(Exception):
     """The journal cannot be used; the reason is a sentence."""
 
 
-class Results:
-    """What all runs of a study gave, by point and member.
+# --- the columns of a run ---------------------------------------------------------------------
 
-    Parameters
-    ----------
-    points, members : size of the study
-    """
 
-    def __init__(self, points: int, members: int) -> None:
-        self.points = points
-        self.members = members
-        size = points * members
-        self.done = np.zeros(size, dtype=bool)
-        self.numbers = np.full((size, len(NUMBERS)), np.nan)
-        # few texts, and most of them alike: kept once each
-        self.texts = np.zeros((size, len(TEXTS)), dtype=np.int32)
-        self._known: dict[str, int] = {"": 0}
-        self._words: list[str] = [""]
+def row_of(outcome: Outcome, job: Job) -> Row:
+    """The columns of a run that did not fail; those without a value are left out."""
+    pair = outcome.peak_force_pair
+    row: Row = {
+        "status": outcome.status,
+        "error": "",
+        "peak_force_pair": "" if pair is None else "{}-{}".format(*pair),
+        "lateral_factor": job.factor,
+    }
+    for key, m in columns().items():
+        value = m.number(m.value(outcome))
+        if value is not None:
+            row[key] = int(value) if m.whole else value
+    return row
 
-    def __len__(self) -> int:
-        return len(self.done)
 
-    @property
-    def missing(self) -> int:
-        """Number of runs that are not there yet."""
-        return int(len(self.done) - np.count_nonzero(self.done))
+def failed_row(error: str, job: Job) -> Row:
+    """The columns of a run that failed."""
+    return {
+        "status": "failed",
+        "error": error,
+        "peak_force_pair": "",
+        "lateral_factor": job.factor,
+    }
 
-    def has(self, point: int, member: int) -> bool:
-        """Whether a run is there."""
-        return bool(self.done[point * self.members + member])
 
-    def put(self, point: int, member: int, row: Row) -> bool:
-        """Take a run in; False if it was there already, then nothing changes."""
-        if not (0 <= point < self.points and 0 <= member < self.members):
-            raise JournalError(f"run {point}.{member} is none of this study")
-        at = point * self.members + member
-        if self.done[at]:
-            return False
-        values = dict(zip(FIELDS, row, strict=True))
-        self.numbers[at] = [np.nan if values[k] is None else values[k] for k in NUMBERS]
-        self.texts[at] = [self._code(values[k] or "") for k in TEXTS]
-        self.done[at] = True
-        return True
-
-    def _code(self, text: str) -> int:
-        code = self._known.get(text)
-        if code is None:
-            code = self._known[text] = len(self._words)
-            self._words.append(text)
-        return code
-
-    def number(self, name: str) -> np.ndarray:
-        """A column of numbers, all runs in the order of points and members."""
-        return self.numbers[:, NUMBERS.index(name)]
-
-    def text(self, name: str) -> list[str]:
-        """A column of texts."""
-        return [self._words[code] for code in self.texts[:, TEXTS.index(name)]]
-
-    def count(self, status: str) -> int:
-        """Number of runs that ended so."""
-        code = self._known.get(status)
-        if code is None:
-            return 0
-        return int(np.count_nonzero(self.texts[:, TEXTS.index("status")] == code))
+# --- the file ---------------------------------------------------------------------------------
 
 
 class Journal:
@@ -100,12 +72,16 @@ class Journal:
     Parameters
     ----------
     folder : folder of the results
-    results : what the lines that are there already are put into
+    points, members : size of the study
+
+    Attributes
+    ----------
+    done : (points, members) runs that are there
     """
 
-    def __init__(self, folder: Path, results: Results) -> None:
+    def __init__(self, folder: Path, points: int, members: int) -> None:
         self.path = folder / FILE
-        self.results = results
+        self.done = np.zeros((points, members), dtype=bool)
         self._file: IO[bytes] = open(self.path, "a+b")  # noqa: SIM115
         try:
             self._lock()
@@ -119,6 +95,11 @@ class Journal:
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
+
+    @property
+    def missing(self) -> int:
+        """Number of runs that are not there yet."""
+        return int(self.done.size - np.count_nonzero(self.done))
 
     def _lock(self) -> None:
         """Keep a second process from writing into the same study."""
@@ -134,31 +115,38 @@ class Journal:
     def _read(self) -> None:
         self._file.seek(0)
         good = 0
-        for line in self._lines():
+        for line in self._file:
+            if not line.endswith(b"\n"):
+                break
             try:
-                point, member, *row = json.loads(line)
-                self.results.put(point, member, row)
-            except (ValueError, TypeError) as error:
+                row = json.loads(line)
+                self._mark(row["point"], row["member"])
+            except (ValueError, TypeError, KeyError) as error:
                 raise JournalError(
-                    f"{self.path}: a line in it cannot be read ({error}); "
-                    "delete the folder to begin anew"
+                    f"{self.path}: cannot read a line ({error}); delete the folder to begin anew"
                 ) from None
             good += len(line)
         # what follows is a line that was not finished
         self._file.truncate(good)
         self._file.seek(good)
 
-    def _lines(self) -> Iterator[bytes]:
-        for line in self._file:
-            if line.endswith(b"\n"):
-                yield line
+    def _mark(self, point: int, member: int) -> bool:
+        """Note that a run is there; False if it was before."""
+        points, members = self.done.shape
+        if not (0 <= point < points and 0 <= member < members):
+            raise JournalError(f"{self.path}: the study has no run {point}.{member}")
+        if self.done[point, member]:
+            return False
+        self.done[point, member] = True
+        return True
 
     def write(self, point: int, member: int, row: Row) -> bool:
         """Keep a run; False if it was there already."""
-        if not self.results.put(point, member, row):
+        if not self._mark(point, member):
             return False
-        line = json.dumps([point, member, *row], ensure_ascii=False, allow_nan=False)
-        self._file.write(line.encode() + b"\n")
+        line = {"point": point, "member": member, **row}
+        text = json.dumps(line, ensure_ascii=False, allow_nan=False)
+        self._file.write(text.encode() + b"\n")
         self._file.flush()
         return True
 
@@ -166,3 +154,30 @@ class Journal:
         """Wait until the file is on the disk."""
         with contextlib.suppress(OSError):
             os.fsync(self._file.fileno())
+
+    def table(self) -> pandas.DataFrame:
+        """All runs that are there, in the order of points and members."""
+        import pandas as pd
+        import pyarrow as pa
+        from pyarrow import json as arrow
+
+        whole, number = pa.int64(), pa.float64()
+        schema = pa.schema(
+            [
+                ("point", whole),
+                ("member", whole),
+                *((name, pa.string()) for name in TEXTS),
+                ("lateral_factor", number),
+                *((key, whole if m.whole else number) for key, m in columns().items()),
+            ]
+        )
+        if not self.done.any():
+            found = schema.empty_table()
+        else:
+            options = arrow.ParseOptions(
+                explicit_schema=schema, unexpected_field_behavior="ignore"
+            )
+            found = arrow.read_json(self.path, parse_options=options)
+            found = found.sort_by([("point", "ascending"), ("member", "ascending")])
+        frame = found.to_pandas(types_mapper={whole: pd.Int64Dtype()}.get)
+        return frame.astype({"point": np.int64, "member": np.int64})

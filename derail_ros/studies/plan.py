@@ -1,8 +1,8 @@
 """Study files: a base scenario, what is varied in it, by which design, how often.
 
 The reader is that of scenarios (strict YAML; every mistake is one line with file, line, field and
-reason), and a study is checked to its last point before its first run: whoever starts a night of
-runs learns of a misspelt path at once.
+reason). All points of a study are checked before its first run: a misspelt path is reported
+before a night of runs, not after it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, Field, StringConstraints, ValidationError
+from pydantic_core import PydanticCustomError
 
 from derail_ros.config_path import config_dir
 from derail_ros.scenario import Scenario, ScenarioError, load_scenario
@@ -22,8 +23,14 @@ from derail_ros.scenario import files as scenario_files
 from derail_ros.scenario.messages import did_you_mean, first_mistake
 from derail_ros.scenario.schema import Integer, Label, Number, Section, Switch, Text, Title
 from derail_ros.scenario.strict_yaml import Document, parse
-from derail_ros.studies.measures import DEFAULT_MEASURES, FIELDS, MEASURES
 from derail_ros.studies.orders import is_order
+from derail_ros.studies.study_measures import (
+    DEFAULT_MEASURES,
+    RELATIVE_SEVERITY,
+    measure_names,
+    measure_of,
+)
+from derail_ros.vocabulary.measures import MEASURES
 
 FORMAT_VERSION = 1
 """Version of the study format."""
@@ -33,6 +40,19 @@ MAX_RUNS = 10_000_000
 
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
+
+
+def _measure_key(name: str) -> str:
+    """The key of a measure; a former name is still read."""
+    try:
+        return measure_of(name).key
+    except KeyError:
+        hint = did_you_mean(name, measure_names()).lstrip("; ")
+        text = f"must be a measure ({hint})" if hint else "must be a measure"
+        raise PydanticCustomError("measure", text) from None  # type: ignore[arg-type]
+
+
+MeasureName = Annotated[str, AfterValidator(_measure_key)]
 DesignName = Literal["one_at_a_time", "grid", "latin_hypercube", "sobol", "cases"]
 RANDOM = ("latin_hypercube", "sobol")
 """Designs that draw their points from ranges and distributions."""
@@ -75,7 +95,14 @@ class Distribution(Section):
     triangular: Triangular | None = None
 
 
-class Parameter(Section):
+class Column(Section):
+    """A column of the list of cases."""
+
+    label: Label | None = None
+    unit: Label = ""
+
+
+class Parameter(Column):
     """What is varied, and over what.
 
     What: a dotted ``path`` of the scenario, or ``set`` (several paths; the text ``$value``
@@ -84,8 +111,6 @@ class Parameter(Section):
     ``settings`` (named sets of overrides, such as whole consists) and ``order`` (of the cars).
     """
 
-    label: Label | None = None
-    unit: Label = ""
     path: str | None = Field(None, max_length=200)
     set: dict[str, Any] | None = None
     values: tuple[Scalar, ...] | None = Field(None, min_length=1, max_length=10_000)
@@ -100,13 +125,6 @@ class Parameter(Section):
     base: Scalar | None = None
 
 
-class Column(Section):
-    """A column of the list of cases."""
-
-    label: Label | None = None
-    unit: Label = ""
-
-
 class Case(Section):
     """A point given in full: its values in the columns, and what it changes."""
 
@@ -119,7 +137,7 @@ class FigureSpec(Section):
     """A figure: a measure over a column, a line for each series, a panel for each panel value."""
 
     x: str
-    y: str
+    y: MeasureName
     series: str | None = None
     panels: str | None = None
     title: Title | None = None
@@ -142,7 +160,7 @@ class StudyModel(Section):
     columns: dict[Name, Column] = {}
     cases: tuple[Case, ...] = Field((), max_length=100_000)
     base: dict[str, Scalar] | None = None
-    measures: tuple[str, ...] = Field(DEFAULT_MEASURES, min_length=1)
+    measures: tuple[MeasureName, ...] = Field(DEFAULT_MEASURES, min_length=1)
     figures: tuple[FigureSpec, ...] = Field((), max_length=20)
 
 
@@ -170,13 +188,26 @@ class Study:
         """The error that names the place of ``path`` in the study's file."""
         return self.document.error(path, reason)
 
+    def words(self, column: str) -> str:
+        """A column in words."""
+        return self._owner(column).label or column.replace("_", " ")
+
     def label(self, column: str) -> str:
         """A column in words, with its unit."""
-        owner = self.model.parameters.get(column) or self.model.columns.get(column)
-        if owner is None:
-            return column
-        text = owner.label or column.replace("_", " ")
-        return f"{text} ({owner.unit})" if owner.unit else text
+        unit = self._owner(column).unit
+        return f"{self.words(column)} ({unit})" if unit else self.words(column)
+
+    def value(self, column: str, value: Any) -> str:
+        """A value of a column in words, with its unit."""
+        return f"{shown_value(value)} {self._owner(column).unit}".rstrip()
+
+    def values(self, columns: Mapping[str, Any]) -> str:
+        """A point's values in words: ``speed 72 km/h, brake delay 10 s``."""
+        return ", ".join(f"{self.words(k)} {self.value(k, v)}" for k, v in columns.items())
+
+    def _owner(self, column: str) -> Column:
+        known: Mapping[str, Column] = {**self.model.parameters, **self.model.columns}
+        return known.get(column) or Column()
 
     def changed(self, **changes: Any) -> Study:
         """The same study with other ``ensemble``, ``seed``, ``variation`` or ``points``."""
@@ -207,7 +238,7 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     else:
         path = scenario_files.find(text, (studies_dir(),))
     if path is None:
-        known = [path.stem for path in _shipped()]
+        known = [path.stem for path in shipped()]
         raise ScenarioError(text, None, "", f"unknown study{did_you_mean(text, known)}")
     content = scenario_files.read_text(path)
     return _study(path.stem, parse(content, str(path)), path.parent)
@@ -224,27 +255,19 @@ def study_from(data: Mapping[str, Any], name: str = "study") -> Study:
     return _study(name, Document(given, f"<{name}>"), None)
 
 
-def list_studies() -> list[tuple[str, str, str]]:
-    """Name, title and size of every shipped study."""
-    found = []
-    for path in _shipped():
-        try:
-            from derail_ros.studies.design import make
-
-            design = make(load_study(path))
-            found.append((path.stem, design.study.model.title, design.size()))
-        except ScenarioError as error:
-            found.append((path.stem, f"(cannot be read: {error})", ""))
-    return found
-
-
 def studies_dir() -> FilePath:
     """Folder of the shipped studies."""
     return config_dir() / "studies"
 
 
-def _shipped() -> list[FilePath]:
-    return sorted(path for path in studies_dir().glob("*.yaml"))
+def shipped() -> list[FilePath]:
+    """Files of the shipped studies."""
+    return sorted(studies_dir().glob("*.yaml"))
+
+
+def study_of_data(name: str, document: Document, scenario: Scenario) -> Study:
+    """A study that was checked before, about a scenario that is there."""
+    return Study(name, _validate(document), scenario, document)
 
 
 def _study(name: str, document: Document, folder: FilePath | None) -> Study:
@@ -311,10 +334,11 @@ def _check(model: StudyModel, document: Document) -> None:
         refuse(("points",), f"must be a power of two for the design sobol, is {model.points}")
 
     columns = {*model.parameters, *model.columns}
-    for name in columns:
-        if name in RESERVED or name in MEASURES:
-            place = "parameters" if name in model.parameters else "columns"
-            refuse((place, name), "is the name of a column of every table; choose another")
+    reserved = {*RESERVED, *MEASURES, RELATIVE_SEVERITY.key}
+    reserved |= {former for m in MEASURES.values() for former in m.former}
+    for name in columns & reserved:
+        place = "parameters" if name in model.parameters else "columns"
+        refuse((place, name), "is the name of a column of every table; choose another")
     for name, parameter in model.parameters.items():
         _check_parameter(model, name, parameter, refuse)
     _check_paths(model, refuse)
@@ -324,11 +348,9 @@ def _check(model: StudyModel, document: Document) -> None:
             refuse(("cases", i, "at"), f"must give exactly the columns {names}")
         if case.order is not None and not is_order(case.order):
             refuse(("cases", i, "order"), f"unknown order {case.order!r}")
-    for i, measure in enumerate(model.measures):
-        if measure not in MEASURES:
-            refuse(("measures", i), f"unknown measure{did_you_mean(measure, MEASURES)}")
-    if "severity" in model.measures and model.design != "one_at_a_time" and model.base is None:
-        refuse(("measures",), "severity compares with a base: say which point it is in base")
+    relative = RELATIVE_SEVERITY.key
+    if relative in model.measures and model.design != "one_at_a_time" and model.base is None:
+        refuse(("measures",), f"{relative} compares with a base: give the point in base")
     for name in model.base or {}:
         if name not in columns:
             refuse(("base", name), f"unknown parameter{did_you_mean(name, columns)}")
@@ -340,16 +362,15 @@ def _check(model: StudyModel, document: Document) -> None:
             if column is not None and column not in columns:
                 hint = did_you_mean(column, columns)
                 refuse(("figures", i, key), f"unknown parameter {column!r}{hint}")
-        if figure.y not in MEASURES:
-            refuse(("figures", i, "y"), f"unknown measure{did_you_mean(figure.y, MEASURES)}")
 
 
-SUMMARY_COLUMNS = (
-    *("point", "member", "varied", "measure", "runs", "share", "n", "mean", "mean_low"),
-    *("mean_high", "sd", "q05", "q25", "median", "q75", "q95", "least", "most", "void"),
-    *("failed", "relative", "relative_low", "relative_high"),
+RESERVED = frozenset(
+    (
+        *("point", "member", "varied", "measure", "runs", "share", "n", "mean", "mean_low"),
+        *("mean_high", "sd", "q05", "q25", "median", "q75", "q95", "least", "most", "void"),
+        *("failed", "relative", "relative_low", "relative_high", "error", "lateral_factor"),
+    )
 )
-RESERVED = frozenset((*SUMMARY_COLUMNS, *FIELDS))
 """Names of other columns of the tables."""
 
 
@@ -377,7 +398,7 @@ def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) ->
         refuse((*place, "whole"), f"does not go with {source}")
     if p.cars is not None and (p.order is None or not 1 <= p.cars[0] < p.cars[1]):
         refuse((*place, "cars"), "must be the first and the last car of those put in order")
-    if p.set is not None and not _mentions_value(p.set):
+    if p.set is not None and fill(p.set, 0) == fill(p.set, 1):
         refuse((*place, "set"), "does not say where $value goes")
     for key in ("values", "percent", "order"):
         items = getattr(p, key) or ()
@@ -444,14 +465,6 @@ def _kind(value: Scalar) -> str:
 VALUE = "$value"
 
 
-def _mentions_value(template: Any) -> bool:
-    if isinstance(template, Mapping):
-        return any(_mentions_value(v) for v in template.values())
-    if isinstance(template, (list, tuple)):
-        return any(_mentions_value(v) for v in template)
-    return template == VALUE
-
-
 def fill(template: Any, value: Scalar) -> Any:
     """A template with the value in the places of ``$value``."""
     if isinstance(template, Mapping):
@@ -461,19 +474,9 @@ def fill(template: Any, value: Scalar) -> Any:
     return value if template == VALUE else template
 
 
-def label_of(columns: Mapping[str, Any], study: Study) -> str:
-    """A point's values in words: ``speed 72 km/h, brake delay 10 s``."""
-    parts = []
-    for name, value in columns.items():
-        owner = study.model.parameters.get(name) or study.model.columns.get(name)
-        text = (owner.label if owner is not None else None) or name.replace("_", " ")
-        unit = f" {owner.unit}" if owner is not None and owner.unit else ""
-        parts.append(f"{text} {shown_value(value)}{unit}")
-    return ", ".join(parts)
-
-
 def shown_value(value: Any) -> str:
     """A parameter's value in a sentence or table."""
+    value = value.item() if hasattr(value, "item") else value
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

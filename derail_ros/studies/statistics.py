@@ -1,7 +1,7 @@
 r"""Statistics of a study: means with their uncertainty, spread, effects, Sobol indices.
 
-Runs of an ensemble are taken as independent draws: outcomes are chaotic, so that a push that
-differs by a percent gives a draw of its own.
+Runs of an ensemble are taken as independent draws: outcomes are chaotic, so a push that differs
+by a percent gives another draw.
 
 - interval of a mean: Student's t, ``m +/- t s / sqrt(n)``, 95 %;
 - interval of a ratio of means ``m / m0``: first order,
@@ -19,68 +19,43 @@ differs by a percent gives a draw of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import wraps
+from itertools import combinations
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+from scipy import stats
 
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
-
-if TYPE_CHECKING:
-    import pandas
-
-    from derail_ros.studies.results import StudyResults
+from derail_ros.studies.results import StudyResults
 
 LEVEL = 0.95
 """Level of the intervals."""
 
 QUANTILES = {"q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95}
 
-
-def t_quantile(degrees: NDArray | float, level: float = LEVEL) -> Any:
-    """Two-sided quantile of Student's t."""
-    from scipy.special import stdtrit
-
-    return stdtrit(degrees, 0.5 * (1.0 + level))
+Rows = list[dict[str, Any]]
 
 
-@lru_cache(maxsize=1000)
-def _t_of(degrees: int) -> float:
-    return float(t_quantile(degrees))
+def _once(compute: Callable[[StudyResults], pd.DataFrame]) -> Callable[..., pd.DataFrame]:
+    """Compute a table once for the same results; give it as a copy."""
+
+    @wraps(compute)
+    def inner(results: StudyResults) -> pd.DataFrame:
+        name = compute.__name__
+        if name not in results.tables:
+            results.tables[name] = compute(results)
+        return results.tables[name].copy()
+
+    return inner
 
 
-def summary(results: StudyResults) -> pandas.DataFrame:
-    """A row for each point and measure, in this order."""
-    import pandas as pd
-
-    runs = results.runs
-    columns = results.design.columns
-    first = results.table.drop_duplicates("point").set_index("point")
-    grouped = runs.groupby("point", sort=True)
-    total = results.table.groupby("point").size()
-    status = results.table.groupby("point")["status"]
-    frames = []
-    for measure in results.measures:
-        values = grouped[measure].apply(lambda v: v.to_numpy(dtype=float, na_value=np.nan))
-        rows = {p: describe(values[p] if p in values.index else []) for p in first.index}
-        frame = pd.DataFrame.from_dict(rows, orient="index")
-        frame.insert(0, "measure", measure)
-        frame.insert(0, "point", frame.index)
-        frame["void"] = status.apply(lambda s: int((s == "void").sum()))
-        frame["failed"] = status.apply(lambda s: int((s == "failed").sum()))
-        frame["runs"] = total
-        for name in reversed([*(["varied"] if "varied" in first else []), *columns]):
-            frame.insert(1, name, first[name])
-        frames.append(frame)
-    table = pd.concat(frames, ignore_index=True)
-    order = {m: i for i, m in enumerate(results.measures)}
-    table["_"] = table["measure"].map(order)
-    table = table.sort_values(["point", "_"], kind="stable").drop(columns="_")
-    if results.base is not None:
-        table = _relative(table, results.base)
-    return table.reset_index(drop=True)
+# --- means ------------------------------------------------------------------------------------
 
 
 def describe(values: Iterable[float]) -> dict[str, float]:
@@ -88,39 +63,60 @@ def describe(values: Iterable[float]) -> dict[str, float]:
     x = np.asarray(list(values), dtype=float)
     x = x[np.isfinite(x)]
     n = len(x)
-    out: dict[str, float] = {"n": n, "mean": float(x.mean()) if n else math.nan}
+    mean = float(x.mean()) if n else math.nan
     sd = float(x.std(ddof=1)) if n > 1 else math.nan
-    half = _t_of(n - 1) * sd / math.sqrt(n) if n > 1 else math.nan
-    out |= {"mean_low": out["mean"] - half, "mean_high": out["mean"] + half, "sd": sd}
-    quantiles = np.quantile(x, list(QUANTILES.values())) if n else [math.nan] * len(QUANTILES)
-    out |= {name: float(q) for name, q in zip(QUANTILES, quantiles, strict=True)}
-    out |= {"least": float(x.min()) if n else math.nan, "most": float(x.max()) if n else math.nan}
-    return out
+    half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, n - 1)) * sd / math.sqrt(n) if n > 1 else math.nan
+    shares = [*QUANTILES.values(), 0.0, 1.0]
+    quantiles = np.quantile(x, shares) if n else [math.nan] * len(shares)
+    found = dict(zip((*QUANTILES, "least", "most"), map(float, quantiles), strict=True))
+    return {"n": n, "mean": mean, "mean_low": mean - half, "mean_high": mean + half,
+            "sd": sd, **found}  # fmt: skip
 
 
-def _relative(table: pandas.DataFrame, base: int) -> pandas.DataFrame:
+@_once
+def summary(results: StudyResults) -> pd.DataFrame:
+    """A row for each point and measure, in this order."""
+    first = results.first
+    names = [*(["varied"] if "varied" in first else []), *results.design.columns]
+    status = results.table.groupby("point")["status"]
+    numbers = pd.DataFrame(
+        {
+            "void": status.apply(lambda s: int((s == "void").sum())),
+            "failed": status.apply(lambda s: int((s == "failed").sum())),
+            "runs": status.size(),
+        }
+    )
+    values = {measure: results.values(measure) for measure in results.measures}
+    rows = [
+        {"point": point, **first.loc[point, names].to_dict(), "measure": measure,
+         **describe(values[measure].get(point, ())), **numbers.loc[point].to_dict()}
+        for point in first.index
+        for measure in results.measures
+    ]  # fmt: skip
+    table = pd.DataFrame(rows)
+    return table if results.base is None else _relative(table, results.base)
+
+
+def _relative(table: pd.DataFrame, base: int) -> pd.DataFrame:
     """Add the means relative to those of the base point."""
     reference = table[table["point"] == base].set_index("measure")
-    m0 = table["measure"].map(reference["mean"])
-    e0 = table["measure"].map(reference["sd"]) / np.sqrt(table["measure"].map(reference["n"]))
-    error = table["sd"] / np.sqrt(table["n"])
+    m0, s0, n0 = (table["measure"].map(reference[name]) for name in ("mean", "sd", "n"))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (table["mean"] / m0).where(m0 > 0.0)
-        sd = np.sqrt(error**2 + (ratio * e0) ** 2) / m0
+        sd = np.sqrt(table["sd"] ** 2 / table["n"] + ratio**2 * s0**2 / n0) / m0
     # for the base itself numerator and denominator are the same draw
     sd = sd.where(table["point"] != base, 0.0)
-    half = t_quantile(np.maximum(table["n"].to_numpy() - 1, 1)) * sd
+    half = stats.t.ppf(0.5 + 0.5 * LEVEL, np.maximum(table["n"] - 1, 1)) * sd
     return table.assign(relative=ratio, relative_low=ratio - half, relative_high=ratio + half)
 
 
-def counts(results: StudyResults) -> pandas.DataFrame:
+@_once
+def counts(results: StudyResults) -> pd.DataFrame:
     """Number of runs of each point with each number of cars derailed, and their share."""
-    runs = results.runs
-    grouped = runs.groupby(["point", "cars_derailed"]).size().rename("runs").reset_index()
+    grouped = results.runs.groupby(["point", "cars_derailed"]).size().rename("runs").reset_index()
     grouped["share"] = grouped["runs"] / grouped.groupby("point")["runs"].transform("sum")
-    first = results.table.drop_duplicates("point").set_index("point")
     for name in reversed(results.design.columns):
-        grouped.insert(1, name, grouped["point"].map(first[name]))
+        grouped.insert(1, name, grouped["point"].map(results.first[name]))
     return grouped
 
 
@@ -132,43 +128,38 @@ def welch(a: NDArray, b: NDArray) -> tuple[float, float, float]:
 
     With less than two runs in either nothing can be said: nan, nan.
     """
-    from scipy.special import stdtr
-
     difference = float(b.mean() - a.mean()) if len(a) and len(b) else math.nan
     if len(a) < 2 or len(b) < 2:
         return difference, math.nan, math.nan
-    va, vb = a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)
-    variance = float(va + vb)
-    if variance == 0.0:
+    if np.ptp(a) == np.ptp(b) == 0.0:
         return difference, 0.0, 1.0 if difference == 0.0 else 0.0
-    degrees = variance**2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
-    error = math.sqrt(variance)
-    p = 2.0 * float(stdtr(degrees, -abs(difference) / error))
-    return difference, float(t_quantile(degrees)) * error, p
+    with warnings.catch_warnings():  # SciPy's, of runs that are nearly the same
+        warnings.simplefilter("ignore", RuntimeWarning)
+        test = stats.ttest_ind(b, a, equal_var=False)
+    low, high = test.confidence_interval(LEVEL)
+    return difference, float(0.5 * (high - low)), float(test.pvalue)
 
 
 def runs_needed(a: NDArray, b: NDArray, power: float = 0.8) -> int | None:
     """Runs in each of two settings that would tell a difference as large as the one seen."""
-    from scipy.special import ndtri
-
     difference = abs(float(b.mean() - a.mean()))
     variance = 0.5 * float(a.var(ddof=1) + b.var(ddof=1))
     if difference == 0.0 or variance == 0.0:
         return None
-    z = float(ndtri(0.5 * (1.0 + LEVEL)) + ndtri(power))
+    z = float(stats.norm.ppf(0.5 + 0.5 * LEVEL) + stats.norm.ppf(power))
     return math.ceil(2.0 * variance * (z / difference) ** 2) + 1
 
 
 def told_apart(groups: Sequence[NDArray]) -> NDArray[np.bool_]:
     """Which pairs of settings can be told apart, as a symmetric matrix."""
     k = len(groups)
-    pairs = [(i, j) for i in range(k) for j in range(i + 1, k)]
+    pairs = list(combinations(range(k), 2))
     p = np.array([welch(groups[i], groups[j])[2] for i, j in pairs])
     apart = np.zeros((k, k), dtype=bool)
     order = np.argsort(np.where(np.isnan(p), 1.0, p), kind="stable")
     for rank, which in enumerate(order):
         if not p[which] <= (1.0 - LEVEL) / (len(pairs) - rank):
-            break  # Holm: what is not told ends the list
+            break  # Holm: the first that is not told apart ends the list
         i, j = pairs[which]
         apart[i, j] = apart[j, i] = True
     return apart
@@ -190,154 +181,118 @@ def alike(apart: NDArray[np.bool_]) -> list[tuple[int, int]]:
 # --- effects ----------------------------------------------------------------------------------
 
 
-def effects(results: StudyResults) -> pandas.DataFrame:
-    """Effects of the parameters; Sobol indices for that design."""
-    import pandas as pd
-
+@_once
+def effects(results: StudyResults) -> pd.DataFrame:
+    """What each parameter does to each measure; the columns depend on the design."""
     design = results.design
     if isinstance(design, Sobol):
         return sobol(results)
     if isinstance(design, OneAtATime):
-        rows = _one_at_a_time(results)
+        of = _one_at_a_time
     elif isinstance(design, LatinHypercube):
-        rows = _rank_correlations(results)
+        of = _rank_correlations
     else:
-        rows = _shares_of_variance(results)
-    return pd.DataFrame(rows)
+        of = _shares_of_variance
+    return pd.DataFrame(
+        [{"measure": m, **row} for m in results.measures for row in of(results, m)]
+    )
 
 
-def point_values(results: StudyResults, measure: str) -> dict[int, NDArray]:
-    """The runs of each point in a measure."""
-    runs = results.runs[["point", measure]].dropna()
-    values = runs[measure].to_numpy(dtype=float)
-    points = runs["point"].to_numpy()
-    cuts = np.flatnonzero(np.diff(points)) + 1
-    return {
-        int(p[0]): v
-        for p, v in zip(np.split(points, cuts), np.split(values, cuts), strict=True)
-        if len(p)
-    }
-
-
-def _one_at_a_time(results: StudyResults) -> list[dict[str, Any]]:
+def _one_at_a_time(results: StudyResults, measure: str) -> Rows:
     """Per parameter: means at its ends and at the base, and the change between the ends."""
-    design = results.design
+    values = results.values(measure)
+    base = float(values[0].mean()) if 0 in values else math.nan
     rows = []
-    for measure in results.measures:
-        values = point_values(results, measure)
-        base = values.get(0, np.array([]))
-        for line in lines(results):
-            name = line.column
-            known = [(v, p) for v, p in zip(line.values, line.points, strict=True) if p in values]
-            if len(known) < 2:
-                continue
-            (low, first), (high, last) = known[0], known[-1]
-            change, half, p = welch(values[first], values[last])
-            means = {v: float(values[q].mean()) for v, q in known}
-            m0 = float(base.mean()) if len(base) else math.nan
-            rows.append(
-                {
-                    "measure": measure,
-                    "parameter": name,
-                    "from": low,
-                    "to": high,
-                    "mean_from": means[low],
-                    "mean_base": m0,
-                    "mean_to": means[high],
-                    "change": change,
-                    "change_low": change - half,
-                    "change_high": change + half,
-                    "p": p,
-                    "swing": max(means.values()) - min(means.values()),
-                    "relative_swing": (max(means.values()) - min(means.values())) / m0
-                    if m0 > 0.0
-                    else math.nan,
-                }
-            )
-    assert design is not None
-    return rows
-
-
-def _shares_of_variance(results: StudyResults) -> list[dict[str, Any]]:
-    """Grid and cases: shares of the variance of all runs: columns, their interplay, chaos."""
-    rows = []
-    for measure in results.measures:
-        runs = results.runs.dropna(subset=[measure])
-        x = runs[measure].to_numpy(dtype=float)
-        total = float(x.var()) if len(x) else 0.0
-        if total == 0.0:
+    for line in lines(results):
+        known = [(v, p) for v, p in zip(line.values, line.points, strict=True) if p in values]
+        if len(known) < 2:
             continue
-        within = runs.groupby("point")[measure].transform("mean").to_numpy(dtype=float)
-        chaos = float(((x - within) ** 2).mean())
-        explained = 0.0
-        for name in results.design.columns:
-            means = runs.groupby(name)[measure].transform("mean").to_numpy(dtype=float)
-            share = float(((means - x.mean()) ** 2).mean()) / total
-            levels = runs.groupby(name)[measure].mean().astype(float)
-            explained += share
-            rows.append(
-                {
-                    "measure": measure,
-                    "parameter": name,
-                    "share": share,
-                    "least_mean": float(levels.min()),
-                    "at_least": levels.idxmin(),
-                    "largest_mean": float(levels.max()),
-                    "at_largest": levels.idxmax(),
-                }
-            )
-        if results.study.model.design == "grid" and len(results.design.columns) > 1:
-            rest = max(0.0, 1.0 - chaos / total - explained)
-            rows.append({"measure": measure, "parameter": "(interplay)", "share": rest})
-        rows.append({"measure": measure, "parameter": "(chaos)", "share": chaos / total})
+        (low, first), (high, last) = known[0], known[-1]
+        change, half, p = welch(values[first], values[last])
+        means = [float(values[point].mean()) for _, point in known]
+        swing = max(means) - min(means)
+        rows.append(
+            {
+                "parameter": line.column,
+                "from": low,
+                "to": high,
+                "mean_from": means[0],
+                "mean_base": base,
+                "mean_to": means[-1],
+                "change": change,
+                "change_low": change - half,
+                "change_high": change + half,
+                "p": p,
+                "swing": swing,
+                "relative_swing": swing / base if base > 0.0 else math.nan,
+            }
+        )
     return rows
 
 
-def _rank_correlations(results: StudyResults) -> list[dict[str, Any]]:
+def _shares_of_variance(results: StudyResults, measure: str) -> Rows:
+    """Grid and cases: shares of the variance of all runs: columns, their interplay, chaos."""
+    runs = results.runs.dropna(subset=[measure])
+    x = runs[measure].astype(float)
+    total = float(x.var(ddof=0)) if len(x) else 0.0
+    if total == 0.0:
+        return []
+    chaos = float((x - x.groupby(runs["point"]).transform("mean")).pow(2).mean()) / total
+    rows: Rows = []
+    for name in results.design.columns:
+        levels = x.groupby(runs[name]).mean()
+        share = float((runs[name].map(levels) - x.mean()).pow(2).mean()) / total
+        rows.append(
+            {
+                "parameter": name,
+                "share": share,
+                "least_mean": float(levels.min()),
+                "at_least": levels.idxmin(),
+                "largest_mean": float(levels.max()),
+                "at_largest": levels.idxmax(),
+            }
+        )
+    if results.study.model.design == "grid" and len(rows) > 1:
+        rest = max(0.0, 1.0 - chaos - sum(row["share"] for row in rows))
+        rows.append({"parameter": "(interplay)", "share": rest})
+    return [*rows, {"parameter": "(chaos)", "share": chaos}]
+
+
+def _rank_correlations(results: StudyResults, measure: str) -> Rows:
     """Latin hypercube: rank correlation of each parameter with the points' means."""
+    means = {point: v.mean() for point, v in results.values(measure).items()}
+    first = results.first.loc[list(means)]
     rows = []
-    for measure in results.measures:
-        means = results.runs.groupby("point")[measure].mean().astype(float).dropna()
-        first = results.table.drop_duplicates("point").set_index("point").loc[means.index]
-        for axis in results.design.axes:
-            if not axis.numeric:
-                continue
-            r, low, high = spearman(first[axis.name].to_numpy(dtype=float), means.to_numpy())
+    for axis in results.design.axes:
+        if axis.numeric:
+            x = first[axis.name].to_numpy(dtype=float)
+            r, low, high = spearman(x, np.array(list(means.values())))
             rows.append(
-                {
-                    "measure": measure,
-                    "parameter": axis.name,
-                    "rank_correlation": r,
-                    "low": low,
-                    "high": high,
-                    "points": len(means),
-                }
-            )
+                {"parameter": axis.name, "rank_correlation": r, "low": low, "high": high,
+                 "points": len(means)}
+            )  # fmt: skip
     return rows
 
 
 def spearman(x: NDArray, y: NDArray) -> tuple[float, float, float]:
     """Spearman's rank correlation with its 95 % interval."""
-    from scipy.special import ndtri
-    from scipy.stats import rankdata
-
     n = len(x)
     if n < 4 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return math.nan, math.nan, math.nan
-    r = float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+    r = float(stats.spearmanr(x, y).statistic)
     z = math.atanh(min(max(r, -0.999999), 0.999999))
-    half = float(ndtri(0.5 * (1.0 + LEVEL))) * math.sqrt((1.0 + 0.5 * r * r) / (n - 3))
+    half = float(stats.norm.ppf(0.5 + 0.5 * LEVEL)) * math.sqrt((1.0 + 0.5 * r * r) / (n - 3))
     return r, math.tanh(z - half), math.tanh(z + half)
 
 
-def sobol(results: StudyResults) -> pandas.DataFrame:
+@_once
+def sobol(results: StudyResults) -> pd.DataFrame:
     """First order, total and second order Sobol indices with their intervals.
 
     Rows with one parameter have S1 and ST, rows with two (``a x b``) S2. A base point of which any
     of the 2 D + 2 points has no run that counts is left out. With two or more runs a point the
     share of the variance that is chaos (the runs of a point among themselves) is a row too.
     """
-    import pandas as pd
     from SALib.analyze import sobol as analyze
 
     design = results.design
@@ -346,11 +301,17 @@ def sobol(results: StudyResults) -> pandas.DataFrame:
     names = [axis.name for axis in design.axes]
     d = len(names)
     problem = {"num_vars": d, "names": names, "bounds": [[0.0, 1.0]] * d}
-    rows: list[dict[str, Any]] = []
+    rows: Rows = []
+
+    def index(kind: str, at: Any) -> dict[str, float]:
+        value, half = float(s[kind][at]), float(s[f"{kind}_conf"][at])
+        return {kind: value, f"{kind}_low": value - half, f"{kind}_high": value + half}
+
     for measure in results.measures:
-        means = np.full(len(design), np.nan)
-        found = results.runs.groupby("point")[measure].mean().astype(float)
-        means[found.index.to_numpy()] = found.to_numpy()
+        values = results.values(measure)
+        means = np.array(
+            [values[p].mean() if p in values else math.nan for p in range(len(design))]
+        )
         blocks = means.reshape(-1, 2 * d + 2)
         whole = np.isfinite(blocks).all(axis=1)
         y = blocks[whole].ravel()
@@ -358,39 +319,15 @@ def sobol(results: StudyResults) -> pandas.DataFrame:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             s = analyze.analyze(problem, y, calc_second_order=True, conf_level=LEVEL, seed=1)
-        common = {
-            "measure": measure,
-            "base_points": int(whole.sum()),
-            "left_out": int((~whole).sum()),
-        }
-        for i, name in enumerate(names):
-            rows.append(
-                {
-                    **common,
-                    "parameter": name,
-                    "S1": float(s["S1"][i]),
-                    "S1_low": float(s["S1"][i] - s["S1_conf"][i]),
-                    "S1_high": float(s["S1"][i] + s["S1_conf"][i]),
-                    "ST": float(s["ST"][i]),
-                    "ST_low": float(s["ST"][i] - s["ST_conf"][i]),
-                    "ST_high": float(s["ST"][i] + s["ST_conf"][i]),
-                }
-            )
-        for i in range(d):
-            for j in range(i + 1, d):
-                rows.append(
-                    {
-                        **common,
-                        "parameter": f"{names[i]} x {names[j]}",
-                        "S2": float(s["S2"][i, j]),
-                        "S2_low": float(s["S2"][i, j] - s["S2_conf"][i, j]),
-                        "S2_high": float(s["S2"][i, j] + s["S2_conf"][i, j]),
-                    }
-                )
-        variance = results.runs.groupby("point")[measure].var().astype(float)
-        if len(variance.dropna()):
-            n = results.manifest["ensemble"]
-            chaos = float(variance.mean()) / n / float(y.var())
+        common = {"measure": measure, "base_points": int(whole.sum()),
+                  "left_out": int((~whole).sum())}  # fmt: skip
+        rows += [{**common, "parameter": n, **index("S1", i), **index("ST", i)}
+                 for i, n in enumerate(names)]  # fmt: skip
+        rows += [{**common, "parameter": f"{names[i]} x {names[j]}", **index("S2", (i, j))}
+                 for i, j in combinations(range(d), 2)]  # fmt: skip
+        variances = [v.var(ddof=1) for v in values.values() if len(v) > 1]
+        if variances:
+            chaos = float(np.mean(variances)) / results.manifest["ensemble"] / float(y.var())
             rows.append({**common, "parameter": "(chaos)", "ST": chaos})
     return pd.DataFrame(rows)
 
@@ -398,58 +335,56 @@ def sobol(results: StudyResults) -> pandas.DataFrame:
 # --- lines ------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
 class Line:
     """Points that differ in one column only, in its order.
 
     Attributes
     ----------
     column : what differs; None for a list of cases
-    fixed : the values of the others
     values, points : its values and their points
+    fixed : the values of the others
     """
 
-    def __init__(
-        self,
-        column: str | None,
-        fixed: dict[str, Any],
-        values: Sequence[Any],
-        points: Sequence[int],
-    ) -> None:
-        self.column = column
-        self.fixed = fixed
-        self.values = list(values)
-        self.points = [int(p) for p in points]
+    column: str | None
+    values: list[Any]
+    points: list[int]
+    fixed: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def numeric(self) -> bool:
+        """The values are numbers."""
+        return is_numeric(self.values)
 
 
-def _sorted(values: Sequence[Any], points: Sequence[int]) -> tuple[list[Any], list[int]]:
-    pairs = list(zip(values, points, strict=True))
-    if all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in values):
+def is_numeric(values: Iterable[Any]) -> bool:
+    """All values are numbers, none is true or false."""
+    return all(isinstance(v, (int, float, np.number)) and type(v) is not bool for v in values)
+
+
+def _line(column: str, part: pd.DataFrame, fixed: dict[str, Any] | None = None) -> Line:
+    """The points of a part of the first rows, in the order of the column where it is numeric."""
+    pairs = list(zip(part[column], (int(p) for p in part.index), strict=True))
+    if is_numeric(v for v, _ in pairs):
         pairs.sort(key=lambda pair: pair[0])
-    return [v for v, _ in pairs], [int(p) for _, p in pairs]
+    return Line(column, [v for v, _ in pairs], [p for _, p in pairs], fixed or {})
 
 
 def lines(results: StudyResults) -> list[Line]:
     """The lines of a design with levels; none for those that draw their points."""
-    design = results.design
-    columns = list(design.columns)
-    first = results.table.drop_duplicates("point")
+    first, design = results.first, results.study.model.design
+    columns = list(results.design.columns)
+    if design == "one_at_a_time":
+        return [_line(c, first[(first["varied"] == c) | (first.index == 0)]) for c in columns]
+    if design == "cases":
+        points = [int(p) for p in first.index]
+        return [Line(None, [results.labels[p] for p in points], points)]
     found: list[Line] = []
-    if isinstance(design, OneAtATime):
-        for axis in design.axes:
-            chosen = first[(first["varied"] == axis.name) | (first["point"] == 0)]
-            values, points = _sorted(list(chosen[axis.name]), list(chosen["point"]))
-            found.append(Line(axis.name, {}, values, points))
-    elif results.study.model.design == "grid":
+    if design == "grid":
         for name in columns:
             others = [c for c in columns if c != name]
             groups = first.groupby(others, sort=False) if others else [((), first)]
-            for key, group in groups:
-                if len(group) < 2:
-                    continue
-                fixed = dict(zip(others, key, strict=True)) if others else {}
-                values, points = _sorted(list(group[name]), list(group["point"]))
-                found.append(Line(name, fixed, values, points))
-    elif results.study.model.design == "cases":
-        points = [int(p) for p in first["point"]]
-        found.append(Line(None, {}, [results.labels[p] for p in points], points))
+            for key, part in groups:
+                if len(part) > 1:
+                    found.append(_line(name, part, dict(zip(others, key, strict=True))))
     return found

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from derail_ros.baselines.anderson import AndersonModel, AndersonParams, roll_estimates
-from derail_ros.baselines.models import MODELS, blank_record, free_speeds, run_model
-from derail_ros.baselines.page import power_law
+from derail_ros.baselines.models import MODELS, free_speeds, run_model
 from derail_ros.baselines.train import ModelError
 from derail_ros.baselines.yang_manos import YangManosParams, configure, zigzag
 from derail_ros.engine import PlanarSimulation
@@ -23,6 +22,7 @@ from derail_ros.studies.ensemble import member_factor, vary
 from derail_ros.vocabulary.errors import NonFiniteStateError, SimulationError, StepSizeError
 from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.params import VariantParams
+from research.baselines import power_law
 
 TAKEN = (
     "brakes",
@@ -155,7 +155,7 @@ def test_most_of_the_train_derails_well_above_96_kmh_in_the_main_model_too():
     law = power_law([30.0, 48.0, 60.0, 72.0, 90.0], [5.0, 10.0, 14.0, 18.0, 24.0])
     for speed in (96.0, 130.0):
         theirs = counts(ensemble("base_train", "yang-manos", speed))
-        ours = counts(ensemble("base_train", "toma", speed))
+        ours = counts(ensemble("base_train", "planar", speed))
         assert abs(theirs.mean() - ours.mean()) < 2.0
         assert theirs.mean() < law[0] * speed ** law[1] + 1.0
         assert (theirs.mean() > 30.0) == (speed > 100.0)
@@ -178,7 +178,7 @@ def test_no_choice_that_the_source_leaves_makes_an_excess_of_this_model():
     weak = {"brakes.force_N": 25e3}
     for overrides in ({}, weak):
         theirs = counts(ensemble("yang_manos_base", "yang-manos", 120.0, 2, **overrides))
-        ours = counts(ensemble("yang_manos_base", "toma", 120.0, 2, **overrides))
+        ours = counts(ensemble("yang_manos_base", "planar", 120.0, 2, **overrides))
         assert theirs.mean() < ours.mean() + 2.0
     p = params("yang_manos_base", speed=120.0)
     usual = run_model("yang-manos", p).record["cars_derailed"]
@@ -224,14 +224,15 @@ def test_stiff_springs_are_removed_without_harm():
     model = AndersonModel(params(speed=90.0))
     outcome = model.run()
     assert outcome.status == "at rest"
-    assert outcome.parted
+    assert (model.coupled == 0).any()
     assert np.isfinite(model.pose).all()
     assert np.isfinite(model.velocity).all()
-    assert outcome.residual < 1e-3
+    assert outcome.energy_residual < 1e-3
     assert outcome.energy["knuckles_released"] > 0.0
     assert outcome.energy["collisions"] > 0.0
-    assert outcome.approach_speed.max() > 0.0
-    assert set(np.flatnonzero(np.isfinite(outcome.roll)) + 1) <= set(outcome.derailed_cars)
+    assert outcome.car_values["approach_speed_m_per_s"].max() > 0.0
+    free = np.flatnonzero(np.isfinite(outcome.car_values["roll_rad"])) + 1
+    assert set(free) <= set(outcome.derailed_cars)
 
 
 @pytest.mark.parametrize("stiffness", [1e9, 1e10])
@@ -294,10 +295,10 @@ def test_anderson_refuses(wrong):
 
 
 def _stored(energy):
-    return energy["kinetic"] + (energy["striker"] or 0.0) + (energy["knuckle"] or 0.0)
+    return energy["kinetic"] + energy["striker"] + energy.get("knuckle", 0.0)
 
 
-@pytest.mark.parametrize("name", ["toma", "yang-manos", "anderson"])
+@pytest.mark.parametrize("name", ["planar", "yang-manos", "anderson"])
 def test_energy_rises_by_no_more_than_the_ledger_says(name):
     p = params(speed=60.0, cars=25)
     if name == "anderson":
@@ -321,7 +322,7 @@ def test_energy_rises_by_no_more_than_the_ledger_says(name):
         assert now - last <= put_in - before + 1e-6 * initial
         before, last = put_in, now
     e = ledger()
-    assert all(e[key] >= -1e-9 * initial for key in TAKEN)
+    assert all(e[key] >= -1e-9 * initial for key in TAKEN if key in e)
     assert e["stabilization_gross"] < 0.01 * initial
     assert last < 0.05 * initial
 
@@ -341,15 +342,18 @@ def test_the_published_bar_is_driven():
 
 
 UNKNOWN = {
-    "toma": set(),
+    "planar": set(),
     "yang-manos": {"peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
-                   "cars_above_5MN", "cars_above_10MN", "severity"},
+                   "cars_above_5MN", "cars_above_10MN", "severity", "share_collisions"},
 }  # fmt: skip
-UNKNOWN["anderson"] = UNKNOWN["yang-manos"] | {"max_coupler_gap_m", "max_truck_offset_m",
-                                               "first_derailment_s"}  # fmt: skip
-UNKNOWN["roorda-gracie"] = UNKNOWN["anderson"] | {"energy_residual"}
-LINE = UNKNOWN["roorda-gracie"] | {"scene_length_m", "scene_width_m", "scene_area_m2",
-                                   "rear_stop_m", "steps", "rejected_steps"}  # fmt: skip
+UNKNOWN["anderson"] = UNKNOWN["yang-manos"] - {"share_collisions"} | {"max_coupler_gap_m"}
+UNKNOWN["roorda-gracie"] = UNKNOWN["yang-manos"] | {
+    "max_coupler_gap_m", "max_truck_offset_m", "first_derailment_s", "energy_residual",
+}  # fmt: skip
+LINE = UNKNOWN["roorda-gracie"] | {
+    "scene_length_m", "scene_width_m", "scene_area_m2", "rear_part_first_car", "rear_stop_m",
+    "share_brakes", "share_ground", "steps", "rejected_steps",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", list(MODELS))
@@ -364,7 +368,7 @@ def test_same_keys_from_every_model(name):
     p = params(speed=30.0, cars=12)
     record = run_model(name, p).record
     keys = outcome_record(PlanarSimulation(p).outcome()).keys()
-    assert record.keys() == keys == blank_record().keys()
+    assert record.keys() == keys
     assert (
         record["energy_J"].keys()
         == outcome_record(PlanarSimulation(p).outcome())["energy_J"].keys()
@@ -375,8 +379,8 @@ def test_same_keys_from_every_model(name):
 
 def test_roll_estimate_of_the_main_model():
     p = params(speed=60.0, cars=25)
-    plain = run_model("toma", p)
-    rolled = run_model("toma", p, roll=True)
+    plain = run_model("planar", p)
+    rolled = run_model("planar", p, roll=True)
     for key, value in plain.record.items():
         if key != "wall_s":
             assert rolled.record[key] == value  # looking on changes nothing

@@ -11,10 +11,11 @@ from scipy.optimize import minimize
 from derail_ros.baselines.bar import GRAVITY, bar_case_2, bar_case_3, limiting_speed
 from derail_ros.baselines.blockage import blockage
 from derail_ros.baselines.joints import joint_velocities
-from derail_ros.baselines.models import MODELS, blank_record, run_model
+from derail_ros.baselines.models import MODELS, run_model
 from derail_ros.baselines.roorda_gracie import _chain, least_work, roorda_gracie
 from derail_ros.baselines.train import ModelError, brakes_of, derailing_train, take_apart
 from derail_ros.scenario import load_scenario
+from derail_ros.vocabulary.measures import MEASURES
 
 SPEEDS = (30.0, 48.0, 60.0, 72.0, 90.0)
 PUBLISHED = (5.0, 10.0, 14.0, 18.0, 24.0)
@@ -319,4 +320,4 @@ def test_published_bar_gains_energy_and_the_corrected_one_does_not(cars):
 def test_bars_as_models(name):
     record = run_model(name, base(60.0).to_params()).record
     assert 0 < record["cars_derailed"] <= 60
-    assert record.keys() == blank_record().keys()
+    assert set(MEASURES) <= record.keys()

@@ -44,7 +44,7 @@ def test_a_state_in_words(plain, capsys):
     assert capsys.readouterr().err == "derail: train, anderson: 3.5 s, 4 cars derailed\n"
 
 
-@pytest.mark.parametrize("model", ["toma", "anderson", "yang-manos"])
+@pytest.mark.parametrize("model", ["planar", "anderson", "yang-manos"])
 def test_every_model_that_takes_time_tells_how_far_it_is(derail, small, monkeypatch, model):
     monkeypatch.setattr(common, "PLAIN_S", 0.0)
     answer = derail("simulate", small, "--model", model, "--json")
@@ -55,9 +55,9 @@ def test_every_model_that_takes_time_tells_how_far_it_is(derail, small, monkeypa
 
 def test_a_comparison_tells_which_model_it_is_at(derail, small, monkeypatch):
     monkeypatch.setattr(common, "PLAIN_S", 0.0)
-    answer = derail("compare-models", small, "--model", "toma", "--model", "blockage")
+    answer = derail("compare-models", small, "--model", "planar", "--model", "blockage")
     assert answer.code == 0
     assert answer.err.splitlines()[:2] == [
-        "derail: small, toma: 0 of 2",
+        "derail: small, planar: 0 of 2",
         "derail: small, blockage: 1 of 2",
     ]

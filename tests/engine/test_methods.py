@@ -10,7 +10,7 @@ from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.laws.ground import drag_slopes
 from derail_ros.engine.methods import METHODS, stability_bound
 from derail_ros.scenario import load_scenario_by_name
-from derail_ros.studies.ensemble import Run, run_many
+from derail_ros.studies.ensemble import Job, run_many
 from derail_ros.vocabulary.params import GroundParams, LateralForce
 from tests.engine.support import (
     NO_CONTACT,
@@ -202,7 +202,7 @@ def test_default_agrees_with_the_reference_in_distribution(name):
         params = with_integration(scenario, method=method, rtol=rtol)
         # different members, so that the samples are independent
         runs = [
-            Run(params, member=k, seed=5 if method == "row" else 6) for k in range(1, members + 1)
+            Job(params, member=k, seed=5 if method == "row" else 6) for k in range(1, members + 1)
         ]
         outcomes = [r.outcome for r in run_many(runs)]
         assert len(outcomes) == members

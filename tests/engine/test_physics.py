@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.methods import METHODS
 from derail_ros.scenario import load_scenario
-from derail_ros.studies.impact import impacts
 from derail_ros.vocabulary.params import ContactParams
+from research.impact import impacts
 from tests.engine.support import make_car, make_train, start, steps_of, tight, with_integration
 
 # Impact tests ----------------------------------------------------------------------------------

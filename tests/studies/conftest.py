@@ -60,16 +60,8 @@ def invented():
 
     The function gives some measures by name, or raises: then the run failed.
     """
-    from derail_ros.studies.ensemble import Result, describe
-    from derail_ros.studies.measures import FIELDS
-
-    blank = dict.fromkeys(FIELDS) | {
-        "status": "at rest",
-        "error": "",
-        "peak_pair": "",
-        "train_cars": 5,
-        "lateral_factor": 1.0,
-    }
+    from derail_ros.studies.ensemble import JobResult, describe
+    from derail_ros.studies.journal import failed_row
 
     def make(function):
         seen = SimpleNamespace(keys=[])
@@ -78,11 +70,11 @@ def invented():
             for index, one in enumerate(runs):
                 seen.keys.append(one.key)
                 try:
-                    values, error = blank | function(*one.key), None
-                    row = [values[name] for name in FIELDS]
+                    row, error = failed_row("", one) | {"status": "at rest"}, None
+                    row |= function(*one.key)
                 except ValueError as exception:
                     row, error = None, describe(exception)
-                yield Result(index, one, row, error, 0.0)
+                yield JobResult(index, one, row, error, 0.0)
 
         run.seen = seen
         return run

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from derail_ros.studies.ensemble import Result
+from derail_ros.studies.ensemble import JobResult
 from derail_ros.vocabulary.outcome import Outcome
 
 
@@ -37,16 +37,15 @@ def outcome(n=3, **changes):
 
 
 def runner(make):
-    """A runner in the manner of ``run_many``: ``make(run)`` gives an outcome or an exception."""
+    """A runner in the manner of ``run_many``: ``make(job)`` gives an outcome or an exception."""
 
     def run(runs, jobs=None, task=None):
         made = []
         for index, one in enumerate(runs):
-            value = make(one)
-            failed = isinstance(value, Exception)
-            made.append(
-                Result(index, one, None if failed else value, repr(value) if failed else None, 0.1)
-            )
+            value, error = make(one), None
+            if isinstance(value, Exception):
+                value, error = None, repr(value)
+            made.append(JobResult(index, one, value, error, 0.1))
         yield from reversed(made)
 
     return run

@@ -47,7 +47,7 @@ def test_a_study_of_a_mapping(folder):
 
 def test_what_the_documentation_shows_is_what_there_is():
     """The lines of docs/studies.md under "From Python" compile, and name what is there."""
-    from derail_ros.studies.results import StudyResults
+    from derail_ros.api import StudyAnswers as StudyResults
 
     text = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
     blocks = [b.split("```")[0] for b in text.split("```python\n")[1:]]

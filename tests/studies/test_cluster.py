@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
+from derail_ros.api import StudyAnswers as StudyResults
 from derail_ros.studies import cluster as cluster_module
 from derail_ros.studies.cluster import ClusterError, on_cluster
-from derail_ros.studies.results import StudyResults
 from derail_ros.studies.runner import run_study
 
 

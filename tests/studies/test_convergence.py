@@ -11,49 +11,40 @@ from scipy import stats
 from derail_ros.engine import PlanarSimulation
 from derail_ros.studies.convergence import (
     INTERVAL,
-    MEASURES,
+    KEYS,
     Trace,
     compare,
     convergence,
-    ks_two_sample,
-    markdown,
+    mean_table,
     median_time,
     parted,
     power,
     trace,
 )
-from derail_ros.studies.convergence_figure import convergence_figure
-from derail_ros.studies.ensemble import Run
+from derail_ros.studies.ensemble import Job
+from derail_ros.studies.tables import Strong
+from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.params import IntegrationParams, LateralForce
 from tests.engine.support import make_train
-from tests.studies.made_up import runner
+from tests.studies.made_up import outcome, runner
 
 # Statistics --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("shift", [0.0, 0.3, 1.0])
-def test_kolmogorov_smirnov(shift):
-    rng = np.random.default_rng(4)
-    a, b = rng.normal(0.0, 1.0, 60), rng.normal(shift, 1.0, 45)
-    d, p = ks_two_sample(a, b)
-    expected = stats.ks_2samp(a, b)
-    assert d == pytest.approx(expected.statistic, abs=1e-12)
-    assert p == pytest.approx(expected.pvalue, rel=0.15, abs=1e-4)
-    assert ks_two_sample(a, a) == (0.0, 1.0)
 
 
 def test_comparison():
     rng = np.random.default_rng(5)
     x, y = rng.normal(10.0, 2.0, 30), rng.normal(10.0, 2.0, 30)
-    c = compare(x, y, x - y)
+    c = compare("duration_s", x, y)
     error = math.sqrt(x.var(ddof=1) / 30 + y.var(ddof=1) / 30)
-    assert c.difference_half == pytest.approx(1.96 * error, rel=1e-3)
-    assert c.twins == np.median(np.abs(x - y))
-    assert c.strangers == pytest.approx(2.0 * 0.6745 * math.sqrt(2.0), rel=0.3)
+    assert c.difference_95 == pytest.approx(1.96 * error, rel=1e-3)
+    assert c.median_difference_of_twins == np.median(np.abs(x - y))
+    assert c.median_difference_of_members == pytest.approx(2.0 * 0.6745 * math.sqrt(2.0), rel=0.3)
     assert c.agrees
-    assert not compare(x + 5.0, y, x - y).agrees
-    same = compare(np.ones(5), np.ones(5), np.zeros(5))
-    assert same.agrees and same.p == 1.0
+    expected = stats.ks_2samp(x, y)
+    assert (c.ks_distance, c.ks_p) == (expected.statistic, expected.pvalue)
+    assert not compare("duration_s", x + 5.0, y).agrees
+    same = compare("duration_s", np.ones(5), np.ones(5))
+    assert same.agrees and same.ks_p == 1.0
 
 
 def test_parting():
@@ -98,39 +89,43 @@ def respond(run):
     path[int(20 - 10 * math.log10(rtol)) :] = rtol
     path *= 1e6 * (rtol > 1e-4)
     count = 10 + run.member % 3 + (rtol > 5e-3) * 5
-    values = {"cars_derailed": count, "duration": 20.0 + 0.1 * run.member, "peak_force": 5.0,
-              "scene_length": 60.0, "scene_width": 25.0}  # fmt: skip
-    return Trace(path, None if run.member == 4 else values, 100, 1e-9, 1e-6, 2.0)
+    made = outcome(
+        cars_derailed=count,
+        duration=20.0 + 0.1 * run.member,
+        peak_force=5e6,
+        status="void" if run.member == 4 else "at rest",
+        steps=100,
+    )
+    return Trace(path, made, 2.0)
 
 
-@pytest.fixture
-def made_up():
+def made_up_study():
     return convergence(
         MadeUp(), 12, tolerances=(1e-4, 1e-2, 1e-3), run=runner(respond), task=respond
     )
 
 
+@pytest.fixture
+def made_up():
+    return made_up_study()
+
+
 def test_levels(made_up):
-    assert [level.label for level in made_up.levels] == ["1e-2", "1e-3", "1e-4"]
+    assert [level.label for level in made_up.tolerances] == ["1e-2", "1e-3", "1e-4"]
     assert made_up.reference.label == "rkf45 1e-5"
     assert made_up.default_rtol == 1e-3
-    loose, default, tight = made_up.levels
+    loose, default, tight = made_up.tolerances
     assert loose.members == 11
     assert not loose.measures["cars_derailed"].agrees
-    assert loose.measures["cars_derailed"].twins == 5.0
+    assert loose.measures["cars_derailed"].median_difference_of_twins == 5.0
     assert default.measures["cars_derailed"].agrees
-    assert median_time(loose.partings) == "4.0"
-    assert median_time(default.partings) == "5.0"
-    assert median_time(tight.partings) == "never"
-
-
-def test_words_and_figure(made_up):
-    page = markdown([made_up], 12, 0, "images/convergence.png")
-    assert "| rkf45 1e-5 | 100 |" in page
-    assert "| 1e-2 | **+5.00 ± " in page
-    assert "nan" not in page
+    assert median_time(loose.parted_s) == "4.0"
+    assert median_time(default.parted_s) == "5.0"
+    assert median_time(tight.parted_s) == "never"
     json.dumps(made_up.as_dict(), allow_nan=False)
-    assert len(convergence_figure([made_up], 12).axes) == 6
+    (row, *_) = mean_table(made_up).rows
+    assert row[:3] == ["1e-2", "100", "4.0"]
+    assert isinstance(row[3], Strong) and not isinstance(row[4], Strong)
 
 
 def test_what_is_refused():
@@ -157,18 +152,17 @@ def short(rtol):
 
 
 def test_a_trace_is_the_path_of_the_run():
-    made = trace(Run(short(1e-3)), lambda: False)
+    made = trace(Job(short(1e-3)), lambda: False)
     run = PlanarSimulation(short(1e-3))
     run.advance_to(1.0)
     assert made.path[10] == pytest.approx(run.sample(1.0).q[:, :2], abs=1e-9)
     outcome = run.run()
-    assert made.values == {m.name: float(m.read(outcome)) for m in MEASURES}
-    assert made.steps == outcome.steps
+    assert outcome_record(made.outcome) == outcome_record(outcome)
     assert len(made.path) >= outcome.time / INTERVAL
 
 
 def test_a_trace_agrees_with_a_tighter_one_until_late():
-    loose, tight = (trace(Run(short(rtol)), lambda: False) for rtol in (1e-3, 1e-6))
+    loose, tight = (trace(Job(short(rtol)), lambda: False) for rtol in (1e-3, 1e-6))
     assert parted(loose.path, tight.path) > min(tight.first_contact, 1.0)
 
 
@@ -177,9 +171,8 @@ def test_the_default_tolerance_gives_the_distribution_of_a_tight_one():
     from derail_ros.scenario import load_scenario
 
     study = convergence(load_scenario("base_train"), 30, tolerances=(1e-3, 1e-5))
-    for level in (study.levels[0], study.reference):
-        for m in MEASURES:
-            c = level.measures[m.name]
-            assert c.p > 1e-3, (level.label, m.name)
-        assert level.gap < 1e-6
-        assert level.residual < 1e-3
+    for level in (study.tolerances[0], study.reference):
+        for key in KEYS:
+            assert level.measures[key].ks_p > 1e-3, (level.label, key)
+        assert level.largest_constraint_error_m < 1e-6
+        assert level.largest_energy_residual < 1e-3

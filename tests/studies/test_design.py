@@ -36,7 +36,7 @@ def test_one_at_a_time_begins_with_the_base():
         ("speed", 40), ("speed", 80), ("ground", 0.5)
     ]  # fmt: skip
     assert all(len(p.overrides) == 1 for p in design[1:])
-    assert designs.base_index(design) == 0
+    assert design.base == 0
 
 
 def test_percent_of_a_whole_number_is_whole():

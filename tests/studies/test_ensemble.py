@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from derail_ros.studies.ensemble import (
-    Run,
+    Job,
     Stopped,
     advance,
     describe,
-    ensemble_runs,
-    in_order,
+    ensemble_jobs,
+    gather,
     member_factor,
     run_many,
     vary,
@@ -23,7 +23,8 @@ from derail_ros.studies.ensemble import (
 
 
 def factor_task(run, stop):
-    return member_factor(run.seed, run.member)
+    assert run.factor == member_factor(run.seed, run.member)
+    return run.factor
 
 
 def nap_task(run, stop):
@@ -32,7 +33,11 @@ def nap_task(run, stop):
 
 
 def runs(n, **kwargs):
-    return (Run(None, member=i, seed=3, key=("point", i), **kwargs) for i in range(n))
+    return (Job(None, member=i, seed=3, key=("point", i), **kwargs) for i in range(n))
+
+
+def sorted_results(results):
+    return sorted(results, key=lambda r: r.index)
 
 
 # Members -----------------------------------------------------------------------------------
@@ -83,9 +88,9 @@ def test_vary_scales_all_lateral_forces_and_nothing_else():
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
 def test_results_do_not_depend_on_the_number_of_jobs(jobs):
-    results = in_order(run_many(runs(40), jobs=jobs, task=nap_task))
+    results = sorted_results(run_many(runs(40), jobs=jobs, task=nap_task))
     assert [r.index for r in results] == list(range(40))
-    assert [r.run.key for r in results] == [("point", i) for i in range(40)]
+    assert [r.job.key for r in results] == [("point", i) for i in range(40)]
     assert [r.outcome for r in results] == [member_factor(3, i) for i in range(40)]
 
 
@@ -105,7 +110,7 @@ def test_a_failure_is_a_result(jobs):
             raise RuntimeError("the step fell\n below its floor")
         return run.member
 
-    results = in_order(run_many(runs(9), jobs=jobs, task=task))
+    results = sorted_results(run_many(runs(9), jobs=jobs, task=task))
     assert [r.error for r in results[:3]] == [
         None,
         "RuntimeError: the step fell below its floor",
@@ -122,7 +127,7 @@ def test_an_endless_list_of_runs_is_taken_from_slowly():
     def endless():
         nonlocal last
         for last in taken:
-            yield Run(None, member=last)
+            yield Job(None, member=last)
 
     with closing(run_many(endless(), jobs=2, task=factor_task)) as results:
         for _ in range(50):
@@ -163,12 +168,25 @@ def test_closing_stops_runs_at_their_next_look_and_drops_the_rest():
     assert not [t for t in threading.enumerate() if t.name.startswith("derail-run")]
 
 
+def test_gather_gives_the_results_of_each_key_in_the_order_of_members():
+    told = []
+    listed = [Job(None, member=m, key=k) for m in (2, 0, 1) for k in "ba"]
+    found = gather(
+        listed, jobs=3, task=lambda job, stop: job.member, progress=lambda *x: told.append(x)
+    )
+    assert {k: [r.value for r in results] for k, results in found.items()} == {
+        "b": [0, 1, 2],
+        "a": [0, 1, 2],
+    }
+    assert told == [(n, 6) for n in range(1, 7)]
+
+
 def test_bad_number_of_jobs_is_refused():
     with pytest.raises(ValueError, match="jobs"):
         list(run_many(runs(1), task=factor_task, jobs=0))
 
 
-def test_ensemble_runs_builds_the_parameters_once():
+def test_ensemble_jobs_builds_the_parameters_once():
     built = []
 
     class Scenario:
@@ -180,7 +198,7 @@ def test_ensemble_runs_builds_the_parameters_once():
             assert overrides == {"speed_kmh": 60}
             return self
 
-    members = list(ensemble_runs(Scenario(), 5, seed=9, overrides={"speed_kmh": 60}))
+    members = list(ensemble_jobs(Scenario(), 5, seed=9, overrides={"speed_kmh": 60}))
     assert [r.member for r in members] == [0, 1, 2, 3, 4]
     assert {r.seed for r in members} == {9}
     assert len(built) == 1

@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import pandas as pd
 import pytest
 
-from derail_ros.studies.results import StudyResults
+from derail_ros.api import StudyAnswers as StudyResults
 from derail_ros.studies.runner import run_study
 from tests.conftest import UNCHECKED
 
@@ -26,7 +26,7 @@ parameters:
   speed: {path: train.speed_kmh, unit: "<i>km/h", percent: [-20, 20]}
   ground: {path: ground.scale, values: [0.8, 1.2]}
   brakes: {settings: {"<normal>": {}, "instant": {brakes.instant: true}}}
-measures: [cars_derailed, peak_force_MN, severity]
+measures: [cars_derailed, peak_force_MN, relative_severity]
 """,
     "grid": HEAD
     + """\
@@ -100,7 +100,7 @@ def report(request, load, folder, invented):
         return {
             "cars_derailed": 2 + (point + member) % 3,
             "duration_s": 5.0 + 0.3 * point + 0.1 * member,
-            "peak_force_MN": 1.0 + 0.2 * ((point * 7 + member) % 5),
+            "peak_force_N": 1e6 + 2e5 * ((point * 7 + member) % 5),
             "scene_area_m2": 100.0 + point,
         }
 
@@ -197,14 +197,14 @@ def test_settings_side_by_side_have_a_title_and_begin_at_zero(load, folder, inve
 
 @pytest.mark.parametrize(
     ("measure", "said"),
-    [("severity", "mean relative severity"), ("peak_force_MN", "mean peak force")],
+    [("relative_severity", "mean relative severity"), ("peak_force_N", "mean largest force")],
 )
 def test_a_ranking_says_once_what_it_is_relative_to(load, folder, invented, measure, said):
     from derail_ros.studies import plots
 
     def some(point, member):
-        values = ("cars_derailed", "peak_force_MN", "scene_area_m2")
-        return dict.fromkeys(values, 2.0 + point + 0.1 * member)
+        value = 2.0 + point + 0.1 * member
+        return {"cars_derailed": 2 + point, "peak_force_N": value, "scene_area_m2": value}
 
     head, _, _ = STUDIES["one_at_a_time"].partition("measures:")
     study = load(f"{head}measures: [{measure}]\n")

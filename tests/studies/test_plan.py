@@ -4,7 +4,8 @@ import pytest
 
 from derail_ros.scenario import ScenarioError
 from derail_ros.studies import design as designs
-from derail_ros.studies.plan import list_studies, load_study, loads_study, studies_dir, study_from
+from derail_ros.studies.design import list_studies
+from derail_ros.studies.plan import load_study, loads_study, studies_dir, study_from
 
 HEAD = "version: 1\ntitle: T\nscenario: small\n"
 GRID = HEAD + "design: grid\n"
@@ -186,8 +187,9 @@ def test_six_variations_are_25_points_of_20_runs():
         ),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid", "measures: [cars]\n"),
          "measures.0", "did you mean"),
-        (parameters("{path: ground.scale, values: [1, 2]}", "grid", "measures: [severity]\n"),
-         "measures", "which point"),
+        (parameters("{path: ground.scale, values: [1, 2]}", "grid",
+                    "measures: [relative_severity]\n"),
+         "measures", "give the point in base"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid", "base: {p: 3}\n"),
          "base", "none of the points"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid",
@@ -213,6 +215,17 @@ def test_a_bad_study_is_refused_with_its_field(load, text, field, reason):
     assert reason in error.reason
     assert error.line is not None
     assert "\n" not in str(error)
+
+
+def test_former_names_of_measures_mean_the_same_in_si_units(load):
+    text = GRID + "parameters: {p: {path: ground.scale, values: [1, 2]}}\n"
+    model = load(
+        text + "measures: [peak_force_MN, energy_MJ]\nfigures: [{x: p, y: peak_force_MN}]\n"
+    ).model
+    assert model.measures == ("peak_force_N", "energy_initial_J")
+    assert model.figures[0].y == "peak_force_N"
+    with pytest.raises(ScenarioError, match="choose another"):
+        load(text.replace("p:", "peak_force_MN:", 1))
 
 
 def test_strict_yaml_is_that_of_scenarios(load):

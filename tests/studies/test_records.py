@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from derail_ros.studies.records import summarize
+from derail_ros.studies.records import Ensemble
 from derail_ros.vocabulary.measures import counted, failed_record, outcome_record, record_numbers
 from derail_ros.vocabulary.words import finite
 from tests.studies.made_up import outcome as made_up
@@ -57,42 +57,41 @@ def test_flatten_counts_lists_and_leaves_out_what_has_no_mean():
     assert not {"derailed_cars", "peak_force_pair", "void", "status"} & flat.keys()
 
 
-def test_moments_match_numpy():
-    rng = np.random.default_rng(1)
-    durations = rng.normal(25.0, 1.0, 50)
-    moments = summarize(outcome_record(outcome(duration=d)) for d in durations)
-    assert moments.count == 50
-    assert moments.mean()["duration_s"] == pytest.approx(durations.mean(), rel=1e-12)
-    assert moments.sd()["duration_s"] == pytest.approx(durations.std(ddof=1), rel=1e-9)
-    assert moments.mean()["energy_J"]["brakes"] == pytest.approx(4e7)
+def ensemble(*records):
+    return Ensemble(tuple(records))
+
+
+def test_means_and_deviations_are_numpys():
+    durations = np.random.default_rng(1).normal(25.0, 1.0, 50)
+    found = ensemble(*(outcome_record(outcome(duration=d)) for d in durations))
+    assert len(found.good) == 50
+    assert found.mean()["duration_s"] == pytest.approx(durations.mean(), rel=1e-12)
+    assert found.sd()["duration_s"] == pytest.approx(durations.std(ddof=1), rel=1e-9)
+    assert found.mean()["energy_J"]["brakes"] == pytest.approx(4e7)
 
 
 def test_void_and_failed_are_counted_but_left_out():
-    moments = summarize(
-        [
-            outcome_record(outcome()),
-            outcome_record(outcome(status="void", derailed_cars=tuple(range(1, 100)))),
-            failed_record("StepSizeError: step below its floor", 0.1),
-        ]
+    found = ensemble(
+        outcome_record(outcome()),
+        outcome_record(outcome(status="void", derailed_cars=tuple(range(1, 100)))),
+        failed_record("StepSizeError: step below its floor", 0.1),
     )
-    assert (moments.count, moments.void, moments.failed) == (1, 1, 1)
-    assert moments.mean()["cars_derailed"] == 3.0
-    assert moments.sd()["cars_derailed"] is None
+    assert (len(found.good), found.void, found.failed) == (1, 1, 1)
+    assert found.mean()["cars_derailed"] == 3.0
+    assert found.sd()["cars_derailed"] is None
     assert not counted(failed_record("x"))
 
 
 def test_a_measure_that_some_runs_lack_is_the_mean_of_the_others():
-    moments = summarize(
-        [outcome_record(outcome()), outcome_record(outcome(peak_force_time=math.nan))]
-    )
-    assert moments.mean()["peak_force_time_s"] == 3.25
-    assert moments.sd()["peak_force_time_s"] is None
+    found = ensemble(outcome_record(outcome()), outcome_record(outcome(peak_force_time=math.nan)))
+    assert found.mean()["peak_force_time_s"] == 3.25
+    assert found.sd()["peak_force_time_s"] is None
 
 
 def test_no_runs_at_all():
-    moments = summarize([failed_record("x")])
-    assert moments.mean() == {}
-    assert moments.sd() == {}
+    found = ensemble(failed_record("x"))
+    assert found.mean() == {}
+    assert found.sd() == {}
 
 
 def test_the_first_derailment_and_rest():

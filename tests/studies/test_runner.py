@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from derail_ros.api import StudyAnswers as StudyResults
 from derail_ros.scenario import ScenarioError
 from derail_ros.studies.ensemble import run_many
-from derail_ros.studies.journal import FILE, Journal, JournalError, Results
-from derail_ros.studies.measures import FIELDS
-from derail_ros.studies.results import StudyResults
-from derail_ros.studies.runner import StudyError, read_table, run_study
+from derail_ros.studies.journal import FILE, Journal, JournalError
+from derail_ros.studies.results import StudyError
+from derail_ros.studies.runner import run_study
 
 
 class Interrupt(Exception):
@@ -59,7 +59,9 @@ def test_a_row_is_the_outcome_of_its_run(load, folder):
     assert row["cars_derailed"] == outcome.cars_derailed
     assert row["duration_s"] == outcome.duration
     assert row["scene_area_m2"] == outcome.scene_area
-    assert row["peak_force_MN"] == outcome.peak_force * 1e-6
+    assert row["peak_force_N"] == outcome.peak_force
+    assert row["cars_above_5MN"] == len(outcome.cars_above_5MN)
+    assert row["first_derailed"] == 1
 
 
 def test_the_same_bytes_whatever_was_interrupted(load, folder):
@@ -152,7 +154,7 @@ def test_csv_and_parquet_hold_the_same(load, folder, invented):
     def some(point, member):
         if point == 3:
             raise ValueError("no")
-        return {"cars_derailed": point, "duration_s": 0.1 * point, "peak_pair": "2-1"}
+        return {"cars_derailed": point, "duration_s": 0.1 * point, "peak_force_pair": "2-1"}
 
     study = load()
     a = StudyResults(run_study(study, folder / "a", run=invented(some), table="parquet")).table
@@ -161,7 +163,7 @@ def test_csv_and_parquet_hold_the_same(load, folder, invented):
     for name in a:
         x, y = (
             (t[name].astype(str if t[name].dtype == object else float) for t in (a, b))
-            if (name not in ("status", "error", "peak_pair"))
+            if (name not in ("status", "error", "peak_force_pair"))
             else (a[name], b[name])
         )
         assert x.equals(y), name
@@ -208,16 +210,15 @@ parameters:
 
 
 def test_two_processes_do_not_write_the_same_results(folder):
-    with Journal(folder, Results(1, 1)), pytest.raises(JournalError, match="another process"):
-        Journal(folder, Results(1, 1))
+    with Journal(folder, 1, 1), pytest.raises(JournalError, match="another process"):
+        Journal(folder, 1, 1)
 
 
 def test_a_journal_of_something_else_is_refused(folder):
-    row = [None] * len(FIELDS)
-    for text in (b"[0, 0]\n", b"no json\n", json.dumps([7, 0, *row]).encode() + b"\n"):
+    for text in (b"[0, 0]\n", b"no json\n", b"{}\n", b'{"point": 7, "member": 0}\n'):
         (folder / FILE).write_bytes(text)
         with pytest.raises(JournalError):
-            Journal(folder, Results(1, 1))
+            Journal(folder, 1, 1)
 
 
 def test_the_work_beside_the_runs_is_in_proportion_to_their_number(load, folder, invented, calls):
@@ -239,18 +240,19 @@ def test_100_000_runs_take_less_than_1_GB(folder):
 
     code = f"""
 import resource, sys
-from derail_ros.studies.ensemble import Result
-from derail_ros.studies.measures import FIELDS
+from derail_ros.api import StudyAnswers
+from derail_ros.studies.ensemble import JobResult
+from derail_ros.studies.study_measures import columns
 from derail_ros.studies.plan import study_from
-from derail_ros.studies.results import StudyResults
 from derail_ros.studies.runner import run_study
 
-row = dict.fromkeys(FIELDS, 1.25) | {{"status": "at rest", "error": "", "peak_pair": "3-2"}}
+row = {{k: 1 if m.whole else 1.25 for k, m in columns().items()}}
+row |= {{"status": "at rest", "error": "", "peak_force_pair": "3-2", "lateral_factor": 1.0}}
 
 def run(runs, *, jobs=None, task=None):
     for i, one in enumerate(runs):
-        values = row | {{"cars_derailed": i % 30, "peak_pair": f"{{i % 60}}-{{i % 59}}"}}
-        yield Result(i, one, [values[name] for name in FIELDS], None, 0.0)
+        values = row | {{"cars_derailed": i % 30, "peak_force_pair": f"{{i % 60}}-{{i % 59}}"}}
+        yield JobResult(i, one, values, None, 0.0)
 
 study = study_from({{
     "scenario": {str(folder / "small.yaml")!r}, "design": "latin_hypercube", "points": 10000,
@@ -258,7 +260,7 @@ study = study_from({{
     "parameters": {{"a": {{"path": "train.speed_kmh", "range": [10, 20]}},
                    "b": {{"path": "ground.scale", "range": [0.5, 1.5]}}}},
 }})
-results = StudyResults(run_study(study, {str(folder / "out")!r}, run=run))
+results = StudyAnswers(run_study(study, {str(folder / "out")!r}, run=run))
 assert len(results.table) == 100000
 results.report({str(folder / "page")!r})
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -272,5 +274,5 @@ def test_tables_of_unfinished_studies_can_be_read(load, folder):
     place = folder / "out"
     with suppress(Interrupt):
         run_study(load(), place, run=stopping_after(3))
-    table = read_table(place)
+    table = StudyResults(place).table
     assert list(zip(table["point"], table["member"], strict=True)) == [(0, 0), (0, 1), (1, 0)]

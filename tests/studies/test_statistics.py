@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from derail_ros.api import StudyAnswers as StudyResults
 from derail_ros.studies import statistics as s
-from derail_ros.studies.results import StudyResults
 from derail_ros.studies.runner import run_study
 
 DRAW = np.random.default_rng(4)
@@ -146,7 +146,7 @@ def test_sobol_indices_are_those_of_the_closed_solution(load, folder, invented, 
         assert row["S1_low"] <= first <= row["S1_high"]
     assert table.loc["a x c", "S2"] == pytest.approx(0.244, abs=0.05)
     said = results.statements()
-    assert said[0].startswith("Duration: Sobol indices: a in all 0.5")
+    assert said[0].startswith("Time to rest: Sobol indices: a in all 0.5")
     assert any("No Sobol indices" in line for line in said if line.startswith("Cars derailed"))
 
 
@@ -175,9 +175,12 @@ ensemble: 40
 parameters:
   speed: {path: train.speed_kmh, unit: km/h, values: [10, 12, 20]}
   ground: {path: ground.scale, values: [0.8, 1.2]}
-measures: [duration_s, severity]
+measures: [duration_s, relative_severity]
 base: {speed: 10, ground: 0.8}
 """
+
+
+PLAIN = GRID.replace(", relative_severity", "")
 
 
 def noise(point, member):
@@ -191,12 +194,12 @@ def test_what_cannot_be_told_apart_is_said(load, folder, invented):
         return {
             "duration_s": level[point] + 0.5 * noise(point, member),
             "cars_derailed": 3,
-            "peak_force_MN": 1.0,
+            "peak_force_N": 1e6,
             "scene_area_m2": 100.0,
         }
 
     results = StudyResults(run_study(load(GRID), folder / "out", run=invented(some)))
-    lines = dict(results.findings())["Duration"]
+    lines = dict(results.findings())["Time to rest"]
     told = [line for line in lines if "cannot be told apart" in line]
     assert len(told) == 2
     assert told[0].startswith(
@@ -205,7 +208,7 @@ def test_what_cannot_be_told_apart_is_said(load, folder, invented):
     assert "runs a point" in told[0].split("take about")[1]
     assert told[1].startswith("At ground 1.2, speed 10 km/h and 12 km/h")
     assert lines[0].startswith("Shares of the variance of all runs: speed")
-    severity = dict(results.findings())["Relative severity"]
+    severity = dict(results.findings())["Severity relative to the base"]
     assert any("every run gives 1.00" in line for line in severity)
 
 
@@ -214,9 +217,7 @@ def test_shares_of_the_variance_add_up(load, folder, invented):
         speed, ground = divmod(point, 2)
         return {"duration_s": 3.0 * speed + ground + 2.0 * speed * ground + noise(point, member)}
 
-    results = StudyResults(
-        run_study(load(GRID.replace(", severity", "")), folder / "out", run=invented(some))
-    )
+    results = StudyResults(run_study(load(PLAIN), folder / "out", run=invented(some)))
     shares = results.effects().set_index("parameter")["share"]
     assert shares.sum() == pytest.approx(1.0)
     mean = np.array([[0.0, 1.0], [3.0, 6.0], [6.0, 11.0]])
@@ -233,16 +234,14 @@ def test_void_runs_do_not_count_and_ratios_have_their_interval(load, folder, inv
             "duration_s": 4.0 * (1 + (point > 0)) * math.exp(0.1 * noise(point, member))
         } | status
 
-    results = StudyResults(
-        run_study(load(GRID.replace(", severity", "")), folder / "out", run=invented(some))
-    )
+    results = StudyResults(run_study(load(PLAIN), folder / "out", run=invented(some)))
     table = results.summary().set_index("point")
     assert (table.loc[1, "n"], table.loc[1, "void"], table.loc[1, "runs"]) == (30, 10, 40)
     assert table.loc[0, "relative"] == table.loc[0, "relative_low"] == 1.0
     for point in range(1, 6):
         assert table.loc[point, "relative_low"] < 2.0 < table.loc[point, "relative_high"]
     # by bootstrap
-    x, y = (s.point_values(results, "duration_s")[p] for p in (0, 3))
+    x, y = (results.values("duration_s")[p] for p in (0, 3))
     ratios = [DRAW.choice(y, 40).mean() / DRAW.choice(x, 40).mean() for _ in range(4000)]
     low, high = np.quantile(ratios, [0.025, 0.975])
     assert table.loc[3, "relative_low"] == pytest.approx(low, abs=0.025)
@@ -289,5 +288,5 @@ measures: [duration_s]
         )
     )
     (first, second) = results.statements()
-    assert first.startswith("Duration: Rank correlations: speed +0.9")
-    assert second == "Duration: No effect of ground can be told from none at 60 points."
+    assert first.startswith("Time to rest: Rank correlations: speed +0.9")
+    assert second == "Time to rest: No effect of ground can be told from none at 60 points."

@@ -1,4 +1,4 @@
-r"""The collision law against the tank car impact tests that it was set by.
+r"""The collision law beside the tank car impact tests from which it was derived.
 
 A car of mass m_1 runs into standing cars of mass m_2, head on and aligned: two corners push, each
 with the law of :mod:`derail_ros.engine.laws.contact`. With x the gap, v = -x' the closing speed
@@ -12,8 +12,7 @@ The cars have no draft gear in the model, and their standing row is one mass, as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,10 +52,6 @@ class Impact:
     duration_s: float
     parting_speed_mps: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """As plain data."""
-        return asdict(self)
-
 
 def impact(
     speed_kmh: float,
@@ -73,7 +68,7 @@ def impact(
     contact : the law's constants; the model's by default
     """
     if not speed_kmh > 0.0:
-        raise ValueError(f"speed_kmh: must be positive, not {speed_kmh}")
+        raise ValueError(f"speed_kmh must be positive, got {speed_kmh}")
     c = ContactParams() if contact is None else contact
     form = 1 if c.gap_law == "lorentzian" else 0
     mass = striking * standing / (striking + standing)
@@ -103,7 +98,7 @@ def impacts(contact: ContactParams | None = None) -> Sequence[Impact]:
 
 
 def words(found: Sequence[Impact]) -> str:
-    """By how much the law is stiffer, in a sentence."""
+    """How much stiffer the law is, in two sentences."""
     forces = sorted(i.peak_force_N for i in found)
     times = sorted(i.duration_s for i in found)
     low, high = MEASURED_FORCE

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.studies.ensemble import Result, ScenarioLike, ensemble_runs, run_many
+from derail_ros import models
+from derail_ros.review.scene import make_scene, scene_from_simulation
+from derail_ros.scenario import load_scenario
+from derail_ros.studies.ensemble import ensemble_jobs, gather
 
 if TYPE_CHECKING:
     from derail_ros.review.scene import Scene
@@ -29,7 +31,7 @@ class Peak:
 
 
 @dataclass(frozen=True)
-class PublishedRun:
+class PublishedDetails:
     """What is published of the run beside its outcome.
 
     Attributes
@@ -53,13 +55,12 @@ class PublishedRun:
         return known
 
 
-def load_published_run() -> PublishedRun:
+def load_published_run() -> PublishedDetails:
     """Read what is published."""
     import yaml
 
-    text = (files("derail_ros.studies") / "data" / "published.yaml").read_text(encoding="utf-8")
-    data = yaml.safe_load(text)["mississauga"]
-    return PublishedRun(
+    data = yaml.safe_load((Path(__file__).parent / "mississauga.yaml").read_text("utf-8"))
+    return PublishedDetails(
         peaks=tuple(
             Peak((p["pair"][0], p["pair"][1]), 1e6 * p["force_MN"], p["time_s"])
             for p in data["peaks"]
@@ -76,7 +77,7 @@ class Details:
     Attributes
     ----------
     force : (members, cars) peak force on each car, N; runs that count
-    scenes : time (s) -> scene and speeds (cars,) (m/s) and velocities (cars, 2)
+    scenes : time (s) -> scene and velocities (cars, 2), m/s
     final : the scene at the end
     summary : the first member's outcome in a line
     """
@@ -96,51 +97,30 @@ def details(
     seed: int = 0,
     *,
     jobs: int | None = None,
-    load: Callable[[str], ScenarioLike] | None = None,
-    run: Callable[..., Iterator[Result]] = run_many,
-    published: PublishedRun | None = None,
+    published: PublishedDetails | None = None,
 ) -> Details:
     """Run the ensemble again, the same members as in the comparison, and the first in detail."""
-    if load is None:
-        from derail_ros.scenario import load_scenario as load
-    if published is None:
-        published = load_published_run()
-    scenario: Any = load(SCENARIO)
-    outcomes: list[Any] = [None] * members
-    with closing(run(ensemble_runs(scenario, members, seed=seed), jobs=jobs)) as results:
-        for result in results:
-            if result.error is None and not result.outcome.void:
-                outcomes[result.run.member] = result.outcome
-    force = np.array([o.car_peak_force for o in outcomes if o is not None])
-    scenes, final, summary = _scenes(scenario, sorted(published.scenes))
-    return Details(force, scenes, final, summary)
-
-
-def _scenes(scenario: Any, times: list[float]) -> tuple[dict[float, Any], Scene, str]:
-    from derail_ros import models
-    from derail_ros.review.scene import make_scene, scene_from_simulation
+    scenario = load_scenario(SCENARIO)
+    runs = ensemble_jobs(scenario, members, seed=seed)
+    (results,) = gather(runs, jobs=jobs).values()
+    outcomes = [r.outcome for r in results if r.error is None]
+    force = np.array([o.car_peak_force for o in outcomes if not o.void])
 
     simulation = models.build(scenario.to_params())
     scenes = {}
-    for t in times:
+    for t in sorted((published or load_published_run()).scenes):
         simulation.advance_to(t)
         now = simulation.sample(min(t, simulation.time))
         scene = make_scene(
             simulation.params.cars,
-            now.q[:, :3],
+            now.plane,
             now.truck_on,
             now.coupled,
-            coupler=now.q[:, 3:5],
+            coupler=now.coupler_yaw,
             track=simulation.track,
             breaks=simulation.rail_breaks,
         )
-        scenes[t] = (scene, now.v[:, :2].copy())
+        scenes[t] = (scene, now.velocity[:, :2].copy())
     outcome = simulation.run()
-    pair = outcome.peak_force_pair
-    struck = "" if pair is None else f" (car {pair[0]} struck {pair[1]})"
-    summary = (
-        f"{outcome.cars_derailed} cars derailed, at rest after {outcome.duration:.1f} s, largest "
-        f"force {outcome.peak_force * 1e-6:.1f} MN{struck}"
-    )
-    final = scene_from_simulation(simulation, scenario.title, summary)
-    return scenes, final, summary
+    final = scene_from_simulation(simulation, scenario.title, outcome.text)
+    return Details(force, scenes, final, outcome.text)

@@ -1,24 +1,22 @@
-"""``derail compare-models --write``: what stands on the page comes from the runs."""
+"""The page on the earlier models: what stands on it comes from the runs."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from derail_ros.baselines import page
 from derail_ros.baselines.models import MODELS, run_model
-from derail_ros.cli import main
-from derail_ros.commands.models import write_results
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.accidents import load_statistics
 from derail_ros.studies.ensemble import member_factor, vary
-from derail_ros.studies.validation import load_published
+from derail_ros.studies.published import load_published
+from derail_ros.studies.records import Ensemble
 from derail_ros.vocabulary.measures import failed_record
+from research import baselines as page
+from research.pages import BEGIN, DOCS, END, Options, fill, missing_markers
 
-ROOT = Path(__file__).parents[2]
 SHORT = {"train.consist.0.count": 14}
-PLAN = page.Plan(
+SCOPE = page.Scope(
     speeds=(30.0, 48.0),
     scene_speed=48.0,
     fast=(96.0,),
@@ -33,21 +31,20 @@ PLAN = page.Plan(
 
 @pytest.fixture(scope="module")
 def cases():
-    return page.compute(page.jobs_of(PLAN, 2), at_a_time=1)
+    return page.compute(page.trials_of(SCOPE, 2), jobs=1)
 
 
 @pytest.fixture(scope="module")
 def written(cases, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    (folder / "images").mkdir()
     path = folder / "page.md"
-    write_results(path, None, folder / "images", cases, PLAN, 2, 0, 1)
+    page.write_results(Options(path, members=2, jobs=1), None, cases, SCOPE)
     return path
 
 
 def table(text, block, heading=None):
     """Rows of a table of a block: first cell -> the others."""
-    part = text.split(page.BEGIN.format(block))[1].split(page.END)[0]
+    part = text.split(BEGIN.format(block))[1].split(END)[0]
     tables = [t for t in part.split("\n\n") if t.lstrip().startswith("|")]
     chosen = next(t for t in tables if heading is None or t.lstrip().startswith(f"| {heading}"))
     lines = [[c.strip() for c in x.strip("| ").split(" | ")] for x in chosen.strip().splitlines()]
@@ -59,12 +56,12 @@ def runs(scenario, model, members, **overrides):
     return [run_model(model, vary(params, member_factor(0, i))).record for i in range(members)]
 
 
-@pytest.mark.parametrize("model", ["toma", "yang-manos", "anderson"])
+@pytest.mark.parametrize("model", ["planar", "yang-manos", "anderson"])
 def test_figures_are_means_and_deviations_of_runs(written, model):
     text = written.read_text(encoding="utf-8")
     own = runs("base_train", model, 2, **{"train.speed_kmh": 48.0})
     for heading, key, digits in (("cars derailed", "cars_derailed", 1),
-                                 ("duration (s)", "duration_s", 1)):  # fmt: skip
+                                 ("time to rest (s)", "duration_s", 2)):  # fmt: skip
         values = np.array([r[key] for r in own])
         expected = f"{values.mean():.{digits}f} ± {values.std(ddof=1):.{digits}f}"
         assert table(text, "base_train", heading)[model][1] == expected
@@ -82,9 +79,9 @@ def test_other_trains_and_models_without_a_push(written):
         assert rows["blockage"][0] == f"{alone['cars_derailed']:.1f}"
         assert rows["blockage"][2:5] == ["-", "-", "-"]
         assert all(float(row[5].split(" ")[0]) >= 0.0 for m, row in rows.items() if m in MODELS)
-    peak = [r["peak_force_N"] * 1e-6 for r in runs("mississauga", "toma", 2)]
-    expected = f"{np.mean(peak):.1f} ± {np.std(peak, ddof=1):.1f}"
-    assert table(text, "mississauga")["toma"][2] == expected
+    peak = [r["peak_force_N"] * 1e-6 for r in runs("mississauga", "planar", 2)]
+    expected = f"{np.mean(peak):.2f} ± {np.std(peak, ddof=1):.2f}"
+    assert table(text, "mississauga")["planar"][2] == expected
 
 
 def test_published_rows(written):
@@ -92,8 +89,10 @@ def test_published_rows(written):
     known = {case.name: case.published for case in load_published().cases}
     counts = table(text, "base_train", "cars derailed")["published"]
     assert counts == [str(known[f"base_{v}"]["cars_derailed"]) for v in (30, 48)] == ["5", "10"]
-    peaks = table(text, "base_train", "peak force")["published"]
-    assert [float(p) for p in peaks] == [known[f"base_{v}"]["peak_force_MN"] for v in (30, 48)]
+    peaks = table(text, "base_train", "largest force")["published"]
+    assert [float(p) for p in peaks] == [
+        pytest.approx(known[f"base_{v}"]["peak_force_N"] * 1e-6) for v in (30, 48)
+    ]
     row = table(text, "mississauga")["published"]
     assert [float(x) for x in row[:5]] == [24, 25.3, 23.09, 109, 41.7]
     assert table(text, "mississauga")["the accident"][:5] == ["24", "-", "-", "132", "39"]
@@ -106,7 +105,7 @@ def test_tables_of_choices(written, cases):
     assert row[0] == "-"
     assert row[-2:] == ["0", "1"]  # couplings parted, zig-zag
     lines = table(text, "yang_manos_accidents")
-    slow, fast = (page.class_speed(one) for one in page.reported(PLAN))
+    slow, fast = (page.class_speed(one) for one in page.reported(SCOPE))
     classes = load_statistics().groups["all"]
     for v, one in ((slow, classes[-2]), (fast, classes[-1])):
         row = lines[f"{v:g}"]
@@ -129,40 +128,41 @@ def test_tables_of_choices(written, cases):
     assert table(text, "joints")["six equal bars, 450 t"][1] == "-0.268"
     assert re.search(r"10000 trains .*: \d+\.\d s", text)
     images = sorted(p.name for p in (written.parent / "images").iterdir())
-    assert images == sorted(page.figures(cases, PLAN))
+    assert images == sorted(page.figures(cases, SCOPE))
     assert all((written.parent / "images" / n).stat().st_size > 5000 for n in images)
 
 
 def test_a_page_is_filled_between_its_marks_only(written):
     text = written.read_text(encoding="utf-8").replace("## joints", "## By hand")
-    again = page.fill(text, {"joints": "NEW", "about": "ABOUT"})
+    again = fill(text, {"joints": "NEW", "about": "ABOUT"})
     assert "## By hand" in again
     assert "-0.268" not in again
     assert table(again, "mississauga") == table(text, "mississauga")
-    assert page.fill(again, {"joints": "NEW", "about": "ABOUT"}) == again
+    assert fill(again, {"joints": "NEW", "about": "ABOUT"}) == again
     with pytest.raises(ValueError, match="no place for the results joints"):
-        page.fill("# nothing", {"joints": "x"})
+        fill("# nothing", {"joints": "x"})
 
 
 def test_the_page_has_a_place_for_every_result():
-    text = (ROOT / "docs" / "baselines.md").read_text(encoding="utf-8")
-    assert page.missing_markers(text, page.NAMES) == []
+    text = (DOCS / "baselines.md").read_text(encoding="utf-8")
+    assert missing_markers(text, page.NAMES) == []
     for image in re.findall(r"\((images/[a-z0-9_]+\.png)\)", text):
-        assert (ROOT / "docs" / image).stat().st_size > 5000
+        assert (DOCS / image).stat().st_size > 5000
     # written by the command, with a place for nothing else
     assert set(re.findall(r"<!-- results: (\w+) -->", text)) == set(page.NAMES)
-    assert "derail compare-models --write" in text
+    assert "python -m research baselines" in text
 
 
 def test_failed_and_void_runs_are_said():
-    job = page.Job("base_30", "toma", "toma", "base_train", members=3)
-    record = runs("base_train", "toma", 1, **{**SHORT, "train.speed_kmh": 20})[0]
+    trial = page.Trial("base_30", "planar", "planar", "base_train", members=3)
+    record = runs("base_train", "planar", 1, **{**SHORT, "train.speed_kmh": 20})[0]
     void = {**record, "void": True, "status": "void"}
-    ensemble = page.Ensemble(job, (record, void, failed_record("StepSizeError: x", 9.0)), (), None)
-    assert page.with_spread(ensemble, "cars_derailed") == f"{record['cars_derailed']:.1f}"
-    words = "\n".join(page._left_out([ensemble]))
-    assert words.startswith("\n- base_train, `toma`: ")
-    assert page.measure(ensemble, "wall_s", 1.0, 6) == f"{min(record['wall_s'], 9.0):.6f}"
+    records = (record, void, failed_record("StepSizeError: x", 9.0))
+    result = page.TrialResult(trial, Ensemble(records))
+    assert page.with_spread(result) == f"{record['cars_derailed']:.1f}"
+    words = page._left_out([result])
+    assert words.startswith("\n\n- base_train, `planar`: ")
+    assert page.measure(result, "wall_s") == f"{min(record['wall_s'], 9.0):.3f}"
     assert "1 of 3 failed (StepSizeError: x)" in words
     assert "1 of 3 void" in words
 
@@ -170,26 +170,3 @@ def test_failed_and_void_runs_are_said():
 def test_power_law():
     v = np.array([30.0, 60.0, 90.0])
     assert page.power_law(v, 0.04 * v**1.4) == pytest.approx((0.04, 1.4))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("base_train", "--write"), "--write"),
-        (("--write", "--set", "ground.scale=2"), "--write"),
-        (("--write", "--to", "/no/such/page.md"), "/no/such"),
-        (("--write", "--to", "{other}"), "no place for the results base_train"),
-        (("base_train", "-n", "3"), "only with --write"),
-        ((), "scenario"),
-    ],
-)
-def test_mistakes_are_one_line_before_the_first_run(capsys, tmp_path, arguments, word):
-    other = tmp_path / "other.md"
-    other.write_text("# By hand\n", encoding="utf-8")
-    code = main(["compare-models", *(a.replace("{other}", str(other)) for a in arguments)])
-    out, err = capsys.readouterr()
-    assert code == 2
-    assert word in err
-    assert err.count("\n") == 1
-    assert out == ""
-    assert other.read_text(encoding="utf-8") == "# By hand\n"

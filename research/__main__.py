@@ -1,0 +1,75 @@
+"""``python -m research NAME``: write a page of the documentation and its figures anew."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+
+from derail_ros.commands.common import CommandFailure
+from derail_ros.scenario import ScenarioError
+from research.pages import DOCS, Options
+
+PAGES = {
+    "validation": "comparison with the published runs",
+    "sensitivity": "what the reconstructed constants do",
+    "spread": "distributions of outcomes; NAMES: other scenarios",
+    "convergence": "ensembles at several tolerances",
+    "baselines": "the earlier models beside this one",
+    "accidents": "reported accidents; NAMES: files of accident reports (CSV, FRA form 54)",
+    "studies": "the studies that ship; NAMES: only these",
+    "screenshots": "pictures of a final scene and of the replay page",
+}
+"""Name of a page, which is also the name of its module -> what it shows."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    listed = "\n".join(f"  {name:12} {words}" for name, words in PAGES.items())
+    parser = argparse.ArgumentParser(
+        "python -m research",
+        description=f"Write a page of the documentation and its figures anew.\n\n{listed}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("page", nargs="?", choices=[*PAGES, "all"], metavar="PAGE")
+    parser.add_argument("names", nargs="*", help="see above")
+    parser.add_argument("--list", action="store_true", help="print the names of the pages")
+    parser.add_argument("-n", "--ensemble", type=int, help="runs each")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("-j", "--jobs", type=int, help="runs at a time; one per core by default")
+    parser.add_argument("--to", type=Path, help="the page; docs/PAGE.md by default")
+    parser.add_argument("--results", type=Path, help="studies: results that are there: DIR/NAME")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write pages; the exit code."""
+    given = parser().parse_args(arguments)
+    if given.list or given.page is None:
+        print("\n".join(PAGES))
+        return 0
+    names = PAGES if given.page == "all" else [given.page]
+    for name in names:
+        if given.page == "all" and name == "accidents" and not given.names:
+            print("accidents: left out, no files of accident reports are named", file=sys.stderr)
+            continue
+        extra = given.names if given.page != "all" or name == "accidents" else []
+        options = Options(
+            page=given.to or DOCS / f"{name}.md",
+            names=tuple(extra),
+            members=given.ensemble,
+            seed=given.seed,
+            jobs=given.jobs,
+            results=given.results,
+        )
+        try:
+            importlib.import_module(f"research.{name}").write(options)
+        except (CommandFailure, ScenarioError) as error:
+            print(f"research {name}: {error}", file=sys.stderr)
+            return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
