@@ -26,6 +26,7 @@ from derail_ros.nodes.serving import SERVICE_DEPTH
 from derail_ros.recording import read_manifest
 from msg_adapters.common import stamp_of
 from msg_adapters.topics import STATE_TOPICS, TOPICS
+from tests.nodes.bench import BAD
 from tests.nodes.graph import PAUSED, PLAYING, QUITTING, SERVICES, STOPPED, Graph, Process, graph
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL
 
@@ -152,36 +153,6 @@ def test_who_comes_late_gets_the_present_run_whole(fresh: Graph) -> None:
         assert {m.run_id for m in late.heard[name]} == {answer.run_id}, name
     assert late.heard["outcome"][-1].is_final
     assert late.heard["track_markers"][-1].markers[0].action == 3
-
-
-BAD = [
-    ("load_consist", {"scenario_name": "nowhere"}, "unknown scenario"),
-    ("load_consist", {"scenario_name": "/etc/passwd"}, "not a scenario name"),
-    ("load_consist", {"scenario_name": "../engine/params"}, "not a scenario name"),
-    ("load_consist", {}, "give either"),
-    ("load_consist", {"scenario_yaml": "version: 1\ntitle: [\n"}, "<inline>:"),
-    ("load_consist", {"scenario_yaml": SMALL.replace("80", "-5")}, "train.speed_kmh"),
-    ("load_consist", {"scenario_yaml": "a: &b [1]\nc: *b\n"}, "<inline>:1"),
-    ("load_consist", {"scenario_yaml": "a: !!python/name:os.system ''\n"}, "<inline>:1"),
-    ("load_consist", {"scenario_yaml": "x" * 300_000}, "over 256 KB"),
-    ("load_consist", {"scenario_yaml": SMALL.replace("10}", "2000}")}, "count"),
-    ("load_consist", {"scenario_yaml": SMALL, "speed_kmh": -1.0}, "speed_kmh"),
-    ("inject_rail_break", {"track_coordinate": math.nan}, "must be a finite number"),
-    ("inject_rail_break", {"track_coordinate": math.inf}, "must be a finite number"),
-    ("inject_rail_break", {"track_coordinate": 1e12}, "outside the track"),
-    ("inject_rail_break", {"car": 77}, "no car 77"),
-    ("inject_rail_break", {"track_coordinate": 5.0, "car": 3}, "two places"),
-    ("trigger_emergency_brake", {"mode": 7}, "mode"),
-    ("trigger_emergency_brake", {"source": 7}, "source"),
-    ("trigger_emergency_brake", {"source": 3}, "car"),
-    ("trigger_emergency_brake", {"source": 3, "car": 9}, "car"),
-    ("trigger_emergency_brake", {"delay_s": -1.0}, "delay"),
-    ("trigger_emergency_brake", {"delay_s": math.nan}, "delay"),
-    ("set_simulation_state", {"state": 9}, "state"),
-    ("set_simulation_state", {"state": QUITTING}, "allow_quit"),
-    ("step_simulation", {"ticks": 1}, "must be paused"),
-    ("reset_simulation", {"mode": 5}, "mode"),
-]
 
 
 def test_each_mistake_gets_its_answer_and_the_run_goes_on(fresh: Graph) -> None:

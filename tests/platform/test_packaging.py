@@ -154,7 +154,7 @@ def test_every_folder_with_code_is_a_package(arguments):
         for package in PACKAGES
         for path in (ROOT / package).rglob("*.py")
     }
-    assert folders <= set(arguments["packages"])
+    assert folders == set(arguments["packages"]), "and nothing else: no tests, no research"
 
 
 def test_data_in_the_packages_is_installed(arguments):
@@ -209,13 +209,13 @@ def modules(arguments) -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_what_a_module_imports_is_a_declared_dependency(path, modules):
-    """At once: the base only, but for the nodes. Within functions or try: extras too."""
+    """At once: the base only. Within functions or try: extras too."""
     own = {*sys.stdlib_module_names, *PACKAGES, "tomllib", "tf2_msgs"}
     anything = own.union(*modules.values())
     relative = path.relative_to(ROOT).as_posix()
     for module, at_once in imported(path).items():
         assert module in anything, f"{relative} imports {module}, which nothing declares"
-        if at_once and not relative.startswith("derail_ros/nodes/"):
+        if at_once:
             assert module in own | modules["base"] | modules["figures"], (
                 f"{relative} imports {module} at once: it is not a base dependency"
             )
