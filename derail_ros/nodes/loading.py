@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -78,6 +77,6 @@ def prepare(
         raise ValueError(str(error)) from error
     if text:
         # It has no name. A name with a blank in it is that of no scenario file.
-        prepared = dataclasses.replace(prepared, name=f"{scenario.title} (inline)")
+        prepared.name = f"{scenario.title} (inline)"
     prepared.warm(frame_id)
     return prepared
