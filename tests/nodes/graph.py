@@ -135,18 +135,21 @@ class Graph:
     # --- processes ---------------------------------------------------------------------------
 
     def start(self, module: str, *arguments: str, **parameters: Any) -> Process:
-        """Start a node as a process."""
+        """Start a node as a process: one of this package, or a module by its full name."""
         given = ["--ros-args", *arguments]
         for name, value in parameters.items():
             given += ["-p", f"{name}:={ros_value(value)}"]
         log = self.folder / f"{module}-{len(self.processes)}.log"
-        process = Process(f"derail_ros.nodes.{module}", self.env, log, *given)
+        module = module if "." in module else f"derail_ros.nodes.{module}"
+        process = Process(module, self.env, log, *given)
         self.processes.append(process)
         return process
 
-    def simulator(self, *arguments: str, ready: bool = True, **parameters: Any) -> Process:
+    def simulator(
+        self, *arguments: str, ready: bool = True, module: str = "simulator", **parameters: Any
+    ) -> Process:
         """Start a simulator, and wait until it serves."""
-        process = self.start("simulator", *arguments, **parameters)
+        process = self.start(module, *arguments, **parameters)
         if ready:
             self.until(
                 lambda: self.client("get_events").service_is_ready(),

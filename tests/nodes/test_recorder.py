@@ -172,7 +172,9 @@ def test_who_comes_late_says_what_it_missed(tmp_path) -> None:
         )
         assert recorder.end() == 0, recorder.output
     # What was sent before it came is no message that was lost on the way.
-    said = re.search(r"/train_state: 0 messages missed by their sequence numbers, (\d+)", recorder.output)
+    said = re.search(
+        r"/train_state: 0 messages missed by their sequence numbers, (\d+)", recorder.output
+    )
     assert said and int(said[1]) >= 10, recorder.output
     found = contents(tmp_path / "bag")
     first = found["/train_state"][0][0]
