@@ -251,6 +251,14 @@ def rows_of(bag: Path):
         return [(c.topic, c.msgtype, t, bytes(d)) for c, t, d in reader.messages()]
 
 
+def chunks_of(file: Path) -> list[Any]:
+    """What the index of an MCAP file says of its chunks."""
+    with file.open("rb") as stream:
+        summary = mcap.reader.make_reader(stream).get_summary()
+    assert summary is not None
+    return sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
+
+
 def test_a_stray_file_beside_a_recording_is_told(run, bag, tmp_path) -> None:
     folder = tmp_path / "mixed"
     folder.mkdir()
@@ -367,8 +375,7 @@ def test_a_damaged_middle_ends_in_arrays_or_a_line(run, bag, tmp_path, filling) 
 def test_behind_a_broken_record_the_index_leads_on(run, bag, tmp_path) -> None:
     shutil.copytree(bag, tmp_path / "damaged")
     (file,) = (tmp_path / "damaged").glob("*.mcap")
-    with file.open("rb") as stream:
-        chunks = mcap.reader.make_reader(stream).get_summary().chunk_indexes
+    chunks = chunks_of(file)
     data = bytearray(file.read_bytes())
     start = chunks[0].chunk_start_offset
     data[start + 1 : start + 9] = b"\xff" * 8  # the length of the first chunk
@@ -449,8 +456,9 @@ def test_nothing_to_repair_and_nothing_written(bag, tmp_path, capsys) -> None:
     assert not (tmp_path / "new").exists()
     # Index and metadata are there, but a part of it is damaged: the rest is worth having.
     (file,) = (tmp_path / "out" / "recording").glob("*.mcap")
+    chunk = chunks_of(file)[0]
     data = bytearray(file.read_bytes())
-    middle = len(data) // 2
+    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
     data[middle : middle + 64] = bytes(64)
     file.write_bytes(data)
     assert main(["repair", str(tmp_path / "out")]) == 0

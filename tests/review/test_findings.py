@@ -111,13 +111,11 @@ def test_a_quiet_run_can_be_told_and_drawn(run: RecordedRun, tmp_path: Path) -> 
             peak_force=0.0,
             peak_force_pair=None,
             peak_force_time=math.nan,
-            car_peak=np.zeros(run.n),
+            car_peak_force=np.zeros(run.n),
             car_peak_other=np.zeros(run.n, dtype=np.int64),
             car_peak_time=np.full(run.n, np.nan),
             derail_time=np.full(run.n, np.nan),
-            above_5MN=(),
-            above_10MN=(),
-            rear_car=0,
+            rear_part_first_car=0,
         ),
     )
     facts = summary.findings(calm)
