@@ -96,7 +96,7 @@ def test_a_run_from_loading_to_its_end(fresh: Graph) -> None:
     assert stamps == sorted(stamps)
     kinds = {e.kind_name for e in events}
     assert {"truck_derailed", "brake_signal_reached", "car_at_rest"} <= kinds
-    assert any(c.is_final for c in fresh.of_run("collisions", answer.run_id))
+    assert any(c.final for c in fresh.of_run("collisions", answer.run_id))
     first, last = (stamp_of(m) for m in (events[0], outcome))
 
     def grid(topic: str) -> list[int]:
@@ -126,7 +126,7 @@ def test_who_comes_late_gets_the_present_run_whole(fresh: Graph) -> None:
     )
     fresh.until(
         lambda: all(
-            any(c.is_final and c.id == other.id for c in fresh.of_run("collisions", answer.run_id))
+            any(c.final and c.id == other.id for c in fresh.of_run("collisions", answer.run_id))
             for other in fresh.of_run("collisions", answer.run_id)
         ),
         "all contacts have ended",

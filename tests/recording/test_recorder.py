@@ -88,7 +88,7 @@ def test_times_are_those_of_the_headers(recorded) -> None:
     """Also of a contact's peak, which is known only when it has passed."""
     path, _, _ = recorded
     found = read(path)
-    assert any(not message.is_final for _, message in found["/collisions"])
+    assert any(not message.final for _, message in found["/collisions"])
     for name, topic in TOPICS.items():
         if topic.recorded and topic.msgtype.startswith("derail_msgs/"):
             for stamp, message in found[f"/{name}"]:
@@ -102,7 +102,7 @@ def test_events_and_contacts_are_those_of_the_engine(recorded) -> None:
     assert events[0].kind.name == "RUN_LOADED"
     assert repr(events[1:]) == repr(simulation.events)
     assert [m.sequence for _, m in found["/events"]] == list(range(len(events)))
-    final = {m.id: m for _, m in found["/collisions"] if m.is_final}
+    final = {m.id: m for _, m in found["/collisions"] if m.final}
     assert [reports.collision_from_message(final[c.id]) for c in simulation.collisions] == list(
         simulation.collisions
     )
