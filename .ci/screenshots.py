@@ -15,8 +15,8 @@ sys.path.insert(0, str(ROOT))
 from derail_ros.engine import PlanarSimulation  # noqa: E402
 from derail_ros.recording import record_run  # noqa: E402
 from derail_ros.recording.reader import read_bag  # noqa: E402
-from derail_ros.review import figures, replay  # noqa: E402
-from derail_ros.review.summary import final_scene  # noqa: E402
+from derail_ros.review import drawing, figures, replay_page  # noqa: E402
+from derail_ros.review.scene import final_scene  # noqa: E402
 from derail_ros.scenario import load_scenario  # noqa: E402
 from tests.review.conftest import start_browser  # noqa: E402
 
@@ -51,9 +51,9 @@ def main() -> None:
         scenario = load_scenario("mississauga")
         record_run(PlanarSimulation(scenario.to_params()), scenario, Path(folder) / "mississauga")
         run = read_bag(Path(folder) / "mississauga")
-        scene = figures.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
+        scene = drawing.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
         keep(Image.open(scene).convert("RGB"), "final_scene")
-        page = replay.write(run, Path(folder) / "page.html")
+        page = replay_page.write(run, Path(folder) / "page.html")
         for name, script in SHOTS.items():
             browser = start_browser("--hide-scrollbars")
             try:

@@ -17,7 +17,7 @@ from pathlib import Path
 from PIL import Image
 
 from derail_ros import study
-from derail_ros.review.figures import save
+from derail_ros.review.drawing import save
 from derail_ros.studies import plots
 from derail_ros.studies.plan import list_studies
 from derail_ros.studies.results import StudyResults

@@ -114,7 +114,7 @@ def figure(
     """
     import matplotlib
 
-    from derail_ros.review.figures import STYLE
+    from derail_ros.review.drawing import STYLE
 
     with matplotlib.rc_context(STYLE):
         return _figure(title, entries, counts, published)
@@ -140,7 +140,7 @@ def _figure(
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    from derail_ros.review.figures import BLUE, FAINT, INK, RAIL, STATES, VERMILION
+    from derail_ros.review.drawing import BLUE, FAINT, INK, RAIL, STATES, VERMILION
 
     scenes = [(e, e.run.scene) for e in entries if e.run is not None and e.run.scene is not None]
     counts = [e for e in entries if e.record and e.record["cars_derailed"] is not None]
@@ -343,7 +343,7 @@ def by_speed_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from derail_ros.review.figures import FAINT, INK, STYLE, VERMILION
+    from derail_ros.review.drawing import FAINT, INK, STYLE, VERMILION
 
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(9.0, 5.2), facecolor="white")

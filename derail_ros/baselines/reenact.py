@@ -461,7 +461,7 @@ def figures(results: Results) -> dict[str, Figure]:
     """The page's figures by the names of their files."""
     import matplotlib
 
-    from derail_ros.review.figures import STYLE
+    from derail_ros.review.drawing import STYLE
 
     with matplotlib.rc_context(STYLE):
         return {
@@ -474,7 +474,7 @@ def _over_speed(results: Results) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from derail_ros.review.figures import INK
+    from derail_ros.review.drawing import INK
 
     page = Figure(figsize=(11.0, 4.6), facecolor="white")
     FigureCanvasAgg(page)
@@ -530,7 +530,7 @@ def _trains(results: Results) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from derail_ros.review.figures import FAINT, INK
+    from derail_ros.review.drawing import FAINT, INK
 
     page = Figure(figsize=(11.0, 4.9), facecolor="white")
     FigureCanvasAgg(page)

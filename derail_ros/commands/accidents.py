@@ -337,7 +337,7 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
     from derail_ros.baselines import reenact as r
     from derail_ros.baselines.page import fill, missing_markers
     from derail_ros.models import engine_hash
-    from derail_ros.review import figures
+    from derail_ros.review import drawing
     from derail_ros.studies import accidents as a
 
     if more:
@@ -372,7 +372,7 @@ def write_page(paths: Sequence[Path], page: Path, seed: int, jobs: int | None, m
         f"seed {seed}. Mean ± its standard error. Engine {engine_hash()[:16]}.</sub>"
     )
     for name, figure in r.figures(results).items():
-        figures.save(figure, images / name, dpi=common.IMAGE_DPI)
+        drawing.save(figure, images / name, dpi=common.IMAGE_DPI)
     page.write_text(fill(text, r.blocks(results, about)), encoding="utf-8")
     shipped = Path(a.__file__).parent / "data" / a.SHIPPED
     try:

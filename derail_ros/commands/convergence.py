@@ -50,7 +50,7 @@ def run(
             except RuntimeError as error:
                 raise CommandFailure(f"{scenario.name}: {error}", FAILED) from None
     if page is not None and image is not None:
-        from derail_ros.review.figures import save
+        from derail_ros.review.drawing import save
         from derail_ros.studies.convergence_figure import convergence_figure
 
         save(convergence_figure(studies, members), image, dpi=common.IMAGE_DPI)

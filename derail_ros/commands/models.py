@@ -149,12 +149,13 @@ def _write(
     if report["members"] > 1:
         write_csv(output / "outcomes.csv", report["outcomes"])
     if first is not None and first.scene is not None:
-        from derail_ros.review import figures
+        from derail_ros.review.drawing import save
+        from derail_ros.review.figures import final_scene
 
         scene = dataclasses.replace(
             first.scene, title=scenario.title, subtitle=f"model: {report['model']}"
         )
-        figures.save(figures.final_scene(scene), output / "final_scene.png")
+        save(final_scene(scene), output / "final_scene.png")
     common.write_json(
         output / "manifest.json",
         {
@@ -263,11 +264,11 @@ def write_results(
     """Fill the page and write its figures; a page that does not exist becomes a bare one."""
     from derail_ros.baselines import page
     from derail_ros.models import engine_hash
-    from derail_ros.review import figures
+    from derail_ros.review.drawing import save
 
     drawn = page.figures(cases, plan)
     for name, figure in drawn.items():
-        figures.save(figure, images / name, dpi=80)
+        save(figure, images / name, dpi=80)
     few = max(2, members // 4)
     at = "one run at a time" if at_a_time == 1 else f"{at_a_time} runs at a time"
     about = (
@@ -359,7 +360,7 @@ def compare_models(
         report["models_by_speed"] = answers
         table = comparison.by_speed_markdown(series, runs)
     if output is not None:
-        from derail_ros.review import figures
+        from derail_ros.review.drawing import save
 
         common.write_json(output / "comparison.json", report)
         (output / "comparison.md").write_text(table, encoding="utf-8")
@@ -369,7 +370,7 @@ def compare_models(
             page = comparison.by_speed_figure(
                 f"{scenario.name}: cars derailed over the speed", series, runs
             )
-        figures.save(page, output / "comparison.png", dpi=80)
+        save(page, output / "comparison.png", dpi=80)
     if as_json:
         common.print_json(report)
     else:

@@ -42,7 +42,7 @@ def run(
             members, seed, jobs=jobs, cases=cases, constants=constants, progress=show
         )
     if page is not None and image is not None:
-        from derail_ros.review.figures import save
+        from derail_ros.review.drawing import save
         from derail_ros.studies.tornado import tornado
 
         save(tornado(study), image, dpi=common.IMAGE_DPI)

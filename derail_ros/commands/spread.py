@@ -61,7 +61,7 @@ def run(
                 )
             )
     if page is not None:
-        from derail_ros.review.figures import save
+        from derail_ros.review.drawing import save
         from derail_ros.studies.histograms import histograms
 
         for one, image in zip(spreads, images, strict=True):

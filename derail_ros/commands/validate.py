@@ -52,7 +52,8 @@ def run(
 
 def _draw(result: Any, folder: Path, jobs: int | None) -> None:
     """Write the page's figures."""
-    from derail_ros.review.figures import final_scene, save
+    from derail_ros.review.drawing import save
+    from derail_ros.review.figures import final_scene
     from derail_ros.studies import mississauga
     from derail_ros.studies import validation_figures as f
     from derail_ros.studies.validation import FIGURES

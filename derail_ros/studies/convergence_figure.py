@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.review.figures import BLUE, FAINT, STYLE, VERMILION
+from derail_ros.review.drawing import BLUE, FAINT, STYLE, VERMILION
 from derail_ros.studies.convergence import APART, MEASURES, Convergence
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.review.figures import BLUE, STYLE, VERMILION
+from derail_ros.review.drawing import BLUE, STYLE, VERMILION
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.spread import Distribution, Spread, shown, with_unit
 

@@ -74,7 +74,7 @@ MOST_ROWS = 400
 
 def write_report(results: StudyResults, folder: Path) -> Path:
     """Write ``report.html``, the figures and the tables as CSV into a folder; the page's path."""
-    from derail_ros.review.figures import save
+    from derail_ros.review.drawing import save
     from derail_ros.studies import plots
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from derail_ros.review.figures import BLUE, FAINT, INK, STYLE, VERMILION
+from derail_ros.review.drawing import BLUE, FAINT, INK, STYLE, VERMILION
 from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.measures import MEASURES, shown

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from derail_ros.review.figures import BLUE, FAINT, INK, STYLE, VERMILION
+from derail_ros.review.drawing import BLUE, FAINT, INK, STYLE, VERMILION
 from derail_ros.studies.sensitivity import (
     CONTROL,
     MEASURES,

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.review.figures import (
+from derail_ros.review.drawing import (
     BLUE,
     FAINT,
     INK,
@@ -25,10 +25,10 @@ from derail_ros.review.figures import (
     draw_bodies,
     draw_fronts,
 )
-from derail_ros.review.words import number_list
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.mississauga import Details, PublishedRun
 from derail_ros.studies.validation import MEASURES, CaseResult, Validation
+from derail_ros.vocabulary.words import number_list
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
