@@ -345,9 +345,15 @@ def animate(
     ],
     run: RunOption = None,
     namespace: Namespace = None,
-    fps: Annotated[int, typer.Option(min=1, max=60, help="Pictures a second.")] = 20,
-    rate: Annotated[float, typer.Option(help="Recorded time per time of the film.")] = 1.0,
-    width: Annotated[int, typer.Option(min=320, max=3840, help="Pixels.")] = 960,
+    fps: Annotated[
+        int | None, typer.Option(min=1, max=60, help="Pictures a second [20; GIF 8].")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Recorded time per time of the film [1; GIF 2].")
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=320, max=3840, help="Pixels [960; GIF 640].")
+    ] = None,
     start: Annotated[float | None, typer.Option(help="From this time on, s.")] = None,
     end: Annotated[float | None, typer.Option(help="Up to this time, s.")] = None,
 ) -> int:

@@ -23,7 +23,6 @@ from typing import Any
 
 from derail_ros.nodes.domain import free_domain
 from derail_ros.recording.reader import read_bag
-from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.vocabulary.outcome import Outcome, ending
 
 SCENARIO = "mississauga"
@@ -170,17 +169,6 @@ def picture(heard: Heard, began: float) -> Any:
 # --- afterwards ------------------------------------------------------------------------------
 
 
-def draw(run: RecordedRun, folder: Path) -> list[Path]:
-    """Draw the figures of a run."""
-    from derail_ros.review import figures, plots
-    from derail_ros.review.summary import final_scene
-
-    return [
-        figures.save(figures.final_scene(final_scene(run)), folder / "final_scene.png"),
-        figures.save(plots.peak_forces(run), folder / "peak_forces.png"),
-    ]
-
-
 def comparison(outcome: Outcome, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
@@ -285,9 +273,12 @@ def run(scenario: str, speed_factor: float, output: Path | None, domain: int) ->
             if process.returncode != 0 or not heard.final:
                 show_log(log)
         return 1
+    from derail_ros.review.figures import save_outcome
+    from derail_ros.review.scene import final_scene
+
     run = read_bag(bag)
     console.print(comparison(run.outcome, scenario))
-    figures = draw(run, folder)
+    figures = save_outcome(final_scene(run), run.outcome, folder)
     for line in recorder_log.read_text(errors="replace").splitlines():
         if "missed" in line:
             console.print(f"recorder: {line.rpartition(': ')[2]}", highlight=False)

@@ -12,7 +12,7 @@ from derail_ros import models
 from derail_ros.commands.common import CommandFailure
 from derail_ros.recording import record_run
 from derail_ros.recording.reader import read_bag
-from derail_ros.review import figures, replay_page
+from derail_ros.review import drawing, figures, replay_page
 from derail_ros.review.scene import final_scene
 from derail_ros.scenario import load_scenario
 from research.browser import NoBrowser, start_browser
@@ -45,7 +45,7 @@ def write(options: Options) -> None:
         bag = Path(folder) / "mississauga"
         record_run(models.build(scenario.to_params()), scenario, bag)
         run = read_bag(bag)
-        scene = figures.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
+        scene = drawing.save(figures.final_scene(final_scene(run)), Path(folder) / "s.png", 107)
         small(Image.open(scene), images / "final_scene.png", 160)
         page = replay_page.write(run, Path(folder) / "page.html")
         for name, script in SHOTS.items():

@@ -25,36 +25,28 @@ def run(
     output: Path,
     chosen: str | None,
     namespace: str | None,
-    fps: int,
-    rate: float,
-    width: int,
+    fps: int | None,
+    rate: float | None,
+    width: int | None,
     start: float | None,
     end: float | None,
 ) -> int:
     """Make the film; the exit code."""
-    from derail_ros.review.film import KINDS, FilmError, film
+    from derail_ros.review.film import FilmError, film, kind_of
 
-    if output.suffix.lower() not in KINDS:
-        raise CommandFailure(f"{output}: a film ends in {' or '.join(KINDS)}")
-    if output.suffix.lower() == ".mp4":
-        try:
-            import imageio_ffmpeg  # noqa: F401
-        except ImportError:
-            raise CommandFailure(
-                "MP4 needs imageio-ffmpeg: pip install 'derail_ros[video]'; or name a .gif"
-            ) from None
-    found = read(bag, chosen, namespace)
-    check_times(start, end, float(found.time[0]), float(found.time[-1]))
-    with bag_errors(), common.progress(*common.counting_columns()) as bars:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        task = bars.add_task(output.name, total=None)
+    try:
+        kind_of(output)
+        found = read(bag, chosen, namespace)
+        check_times(start, end, float(found.time[0]), float(found.time[-1]))
+        with bag_errors(), common.progress(*common.counting_columns()) as bars:
+            output.parent.mkdir(parents=True, exist_ok=True)
+            task = bars.add_task(output.name, total=None)
 
-        def tell(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
+            def tell(done: int, total: int) -> None:
+                bars.update(task, completed=done, total=total)
 
-        try:
             count = film(found, output, fps, rate, width, start, end, tell)
-        except FilmError as error:
-            raise CommandFailure(str(error)) from None
+    except FilmError as error:
+        raise CommandFailure(str(error)) from None
     print(f"{output}: {count} pictures, {output.stat().st_size / 1e6:.1f} MB")
     return OK

@@ -19,14 +19,14 @@ def run(first: str, second: str, output: Path | None, as_json: bool) -> int:
     facts = comparison.compare(a, b)
     text = comparison.text(facts)
     if output is not None:
-        from derail_ros.review import figures
+        from derail_ros.review.drawing import save
 
         with bag_errors():
             common.write_json(output / "comparison.json", facts)
             (output / "comparison.txt").write_text(
                 comparison.text(facts, most=1000), encoding="utf-8"
             )
-            figures.save(comparison.scenes(a, b), output / "scenes.png")
+            save(comparison.scenes(a, b), output / "scenes.png")
     if as_json:
         common.print_json(facts)
         return OK

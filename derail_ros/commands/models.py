@@ -132,12 +132,12 @@ def _write(
     if report["members"] > 1:
         write_csv(output / "outcomes.csv", report["outcomes"])
     if first is not None and first.scene is not None:
-        from derail_ros.review import figures
+        from derail_ros.review import drawing, figures
 
         scene = dataclasses.replace(
             first.scene, title=scenario.title, subtitle=f"model: {report['model']}"
         )
-        figures.save(figures.final_scene(scene), output / "final_scene.png")
+        drawing.save(figures.final_scene(scene), output / "final_scene.png")
     common.write_json(
         output / "manifest.json",
         {

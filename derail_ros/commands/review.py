@@ -11,8 +11,6 @@ from derail_ros.commands import common
 from derail_ros.commands.common import OK, CommandFailure, note
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from derail_ros.recording.recorded_run import RecordedRun
 
 
@@ -82,34 +80,25 @@ def run(
     if as_json:
         common.print_json(facts)
         return OK
-    from derail_ros.review import words
-
-    sentence = words.sentence(found)
     print(found.title)
-    print(f"{sentence[:1].upper()}{sentence[1:]}.")
-    print(words.stopped_by(found))
+    for sentence in summary.headline(found):
+        print(sentence)
     print(f"in {output}: {', '.join(written)}")
     return OK
 
 
 def write_figures(found: RecordedRun, output: Path) -> list[str]:
     """Draw the figures of a run and return their names."""
-    from derail_ros.review import figures as scenes
-    from derail_ros.review import plots
-    from derail_ros.review.summary import final_scene
+    from derail_ros.review import drawing, figures, plots
+    from derail_ros.review.scene import final_scene
 
-    written: list[str] = []
-
-    def save(figure: Figure | None, name: str) -> None:
-        if figure is not None:
-            scenes.save(figure, output / name)
-            written.append(name)
-
-    save(scenes.final_scene(final_scene(found)), "final_scene.png")
-    for k, contact in enumerate(plots.main_collisions(found), 1):
-        save(plots.collision(found, contact), f"collision_{k}.png")
-    save(plots.peak_forces(found), "peak_forces.png")
-    save(plots.speeds(found), "speeds.png")
-    save(plots.energy_over_time(found), "energy.png")
-    save(plots.space_time(found), "space_time.png")
-    return written
+    paths = figures.save_outcome(final_scene(found), found.outcome, output)
+    drawn = {
+        f"collision_{k}": plots.collision(found, c)
+        for k, c in enumerate(plots.main_collisions(found), 1)
+    }
+    drawn["speeds"] = plots.speeds(found)
+    drawn["energy"] = plots.energy_over_time(found)
+    drawn["space_time"] = plots.space_time(found)
+    paths += [drawing.save(f, output / f"{name}.png") for name, f in drawn.items() if f]
+    return [path.name for path in paths]

@@ -234,22 +234,11 @@ def _write(
 
 def write_figures(output: Path, title: str, simulation: Simulation) -> None:
     """The final scene and the peak forces of a finished run."""
-    from derail_ros.review import figures
+    from derail_ros.review.figures import save_outcome
     from derail_ros.review.scene import scene_from_simulation
 
     outcome = simulation.outcome()
-    scene = scene_from_simulation(simulation, title, outcome.text)
-    figures.save(figures.final_scene(scene), output / "final_scene.png")
-    figures.save(
-        figures.peak_forces(
-            outcome.car_peak_force,
-            outcome.car_peak_other,
-            time=outcome.car_peak_time,
-            derailed=outcome.derailed_cars,
-            title=title,
-        ),
-        output / "peak_forces.png",
-    )
+    save_outcome(scene_from_simulation(simulation, title, outcome.text), outcome, output)
 
 
 def write_csv(path: Path, records: Sequence[Record]) -> None:

@@ -14,7 +14,7 @@ from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.manifest import CUSTOM_DATA, FILE_NAME
 from derail_ros.recording.recomputation import is_needed
 from derail_ros.recording.run_messages import Collector
-from derail_ros.recording.storage import BagError, RawBag, open_bag
+from derail_ros.recording.storage import BagError, RawBag, open_bag, repaired_name
 from msg_adapters.definitions import VERSION, typestore
 from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
@@ -78,10 +78,7 @@ def repair(bag: str | Path, output: Path | None = None) -> Repaired:
             pass
         if not raw.warnings and whole.counts:
             return whole.result(raw.path, was_whole=True)
-    folder = raw.path
-    if folder.is_file():
-        folder = folder.with_name(folder.name.removesuffix(".zstd")).with_suffix("")
-    target = folder.with_name(f"{folder.name}_repaired") if output is None else output
+    target = raw.path.with_name(repaired_name(raw.path)) if output is None else output
     if target.exists():
         raise BagError(f"{target}: exists already; name another folder with -o")
     try:

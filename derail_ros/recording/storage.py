@@ -199,17 +199,30 @@ def _files_in(folder: Path) -> list[Path]:
     return sorted((f for f in found if f.is_file()), key=lambda f: (len(f.name), f.name))
 
 
+def repaired_name(path: Path) -> str:
+    """Name of the folder in which ``derail repair`` makes a recording whole."""
+    name = path.name.removesuffix(".zstd")
+    return f"{Path(name).stem if name.endswith(SUFFIXES) else name}_repaired"
+
+
 def _open_folder(path: Path) -> RawBag:
     files = _files_in(path)
-    if not files and not (path / METADATA).exists():
+    if not (path / METADATA).exists():
         inner = [f for f in sorted(path.iterdir()) if f.is_dir()]
         inner = [f for f in inner if (f / METADATA).exists() or _files_in(f)]
-        if len(inner) == 1:
+        whole = {f.name: f for f in inner}
+        damaged = [f for f in [*files, *inner] if repaired_name(f) in whole]
+        if damaged and len(files) + len(inner) == 2:
+            bag = _open_folder(whole[repaired_name(damaged[0])])
+            bag.warn(f"read in place of {damaged[0].name}, from which it was repaired")
+            return bag
+        if not files and len(inner) == 1:
             return _open_folder(inner[0])
-        if inner:
+        if not files and inner:
             names = ", ".join(f.name for f in inner[:5])
             raise NotABagError(f"{path}: holds several recordings ({names}): name one")
-        raise NotABagError(f"{path}: no recording in this folder")
+        if not files:
+            raise NotABagError(f"{path}: no recording in this folder")
     try:
         metadata = _Metadata(path)
         return _open_files(path, [path / name for name in metadata.files], metadata=metadata)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -187,3 +188,11 @@ def peak_forces(outcome: Outcome, title: str = "") -> Figure:
     heading = f"{title}: peak force on each car" if title else "Peak force on each car"
     drawing.heading(figure, heading, note, left=0.75)
     return figure
+
+
+def save_outcome(scene: Scene, outcome: Outcome, folder: Path) -> list[Path]:
+    """Write the figures of every run: the final scene and the peak forces."""
+    return [
+        drawing.save(final_scene(scene), folder / "final_scene.png"),
+        drawing.save(peak_forces(outcome, scene.title), folder / "peak_forces.png"),
+    ]

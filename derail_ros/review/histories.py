@@ -201,49 +201,23 @@ STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {
 
 
 COLLISION_COLUMNS = {
-    "id": "id",
-    "striking_car": "car_a",
-    "struck_car": "car_b",
-    "start_s": "start",
-    "end_s": "end",
-    "peak_corner_force_N": "peak_force",
-    "peak_corner_force_time_s": "peak_time",
+    "id": "id", "striking_car": "car_a", "struck_car": "car_b", "start_s": "start",
+    "end_s": "end", "peak_corner_force_N": "peak_force", "peak_corner_force_time_s": "peak_time",
     "peak_resultant_force_N": "peak_resultant",
-    "peak_resultant_force_time_s": "peak_resultant_time",
-    "closing_speed_m_s": "closing_speed",
-    "angle_rad": "angle",
-    "x_m": "x",
-    "y_m": "y",
-    "z_m": "z",
-    "normal_x": "normal_x",
-    "normal_y": "normal_y",
-    "normal_z": "normal_z",
-    "corner_car": "corner_car",
-    "touch": "touch",
-    "object": "object",
-    "energy_taken_out_J": "energy_lost",
-}
+    "peak_resultant_force_time_s": "peak_resultant_time", "closing_speed_m_s": "closing_speed",
+    "angle_rad": "angle", "x_m": "x", "y_m": "y", "z_m": "z", "normal_x": "normal_x",
+    "normal_y": "normal_y", "normal_z": "normal_z", "corner_car": "corner_car", "touch": "touch",
+    "object": "object", "energy_taken_out_J": "energy_lost",
+}  # fmt: skip
 """Column -> attribute of ``vocabulary.events.Collision``."""
 
 EVENT_COLUMNS = {
-    "time_s": "time",
-    "step": "step",
-    "kind": "kind",
-    "cars": "cars",
-    "end": "end",
-    "cause": "cause",
-    "x_m": "x",
-    "y_m": "y",
-    "z_m": "z",
-    "track_coordinate_m": "track_coordinate",
-    "speed_m_s": "speed",
-    "value": "value",
-    "value_unit": "value_unit",
-    "object": "object",
-    "before": "before",
-    "after": "after",
+    "time_s": "time", "step": "step", "kind": "kind", "cars": "cars", "end": "end",
+    "cause": "cause", "x_m": "x", "y_m": "y", "z_m": "z",
+    "track_coordinate_m": "track_coordinate", "speed_m_s": "speed", "value": "value",
+    "value_unit": "value_unit", "object": "object", "before": "before", "after": "after",
     "text": "text",
-}
+}  # fmt: skip
 """Column -> attribute of ``vocabulary.events.Event``."""
 
 

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.review import drawing, figures
+from derail_ros.review import drawing
 from derail_ros.review.drawing import (
     BLUE,
     DIAMOND,
@@ -462,8 +462,3 @@ def some(count: int, most: int) -> NDArray[np.int64]:
     """Indices of about ``most`` of ``count`` entries at most, the first and the last too."""
     step = max(1, math.ceil(count / most))
     return np.unique(np.append(np.arange(0, count, step), count - 1))
-
-
-def peak_forces(run: RecordedRun) -> Figure:
-    """Draw the largest force on each car."""
-    return figures.peak_forces(run.outcome, run.title)

@@ -18,9 +18,9 @@ from derail_ros.recording.files import add_topic, bag_writer
 from derail_ros.recording.plausibility import FREE, GROUPS, MAY_BE_NAN, POSITIVE
 from derail_ros.recording.reader import read_bag
 from derail_ros.recording.storage import BagError
-from derail_ros.review import plots, summary
+from derail_ros.review import figures, plots, summary
 from derail_ros.review import replay_page as replay
-from derail_ros.review.figures import final_scene
+from derail_ros.review.scene import final_scene
 from derail_ros.scenario import load_scenario
 from msg_adapters.definitions import (
     deserialize,
@@ -94,8 +94,9 @@ def check(path: Path, *, drawn: bool = False) -> None:
         words = place.replace('"', " ").replace("°", " ").split()
         assert not {"nan", "NaN", "inf", "Infinity", "-inf"} & set(words)
     if drawn:
-        assert final_scene(summary.final_scene(run)) is not None
-        for draw in (plots.peak_forces, plots.speeds, plots.energy_over_time, plots.space_time):
+        assert figures.final_scene(final_scene(run)) is not None
+        assert figures.peak_forces(run.outcome) is not None
+        for draw in (plots.speeds, plots.energy_over_time, plots.space_time):
             draw(run)
         for contact in plots.main_collisions(run):
             plots.collision(run, contact)

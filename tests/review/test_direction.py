@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from derail_ros.recording.recorded_run import RecordedRun
-from derail_ros.review import comparison, figures, film
+from derail_ros.review import comparison, drawing, figures, film
 from derail_ros.review.replay_page import write
-from derail_ros.review.summary import final_scene
+from derail_ros.review.scene import final_scene
 
 TURNS = (0.0, 1.9, -2.6)
 """Angles by which the whole run is turned, rad."""
@@ -60,10 +60,10 @@ def test_the_arrow_of_figures_and_films_lies_along_the_track(
     there = turned(run, angle)
     assert final_scene(there).travel == way
     assert arrows(figures.final_scene(final_scene(there))) == [way]
-    stage = film._Stage(there, 480)
+    stage = film.Stage(there, 480)
     stage.picture(float(there.time[-1]))
     assert arrows(stage.figure) == [way]
-    assert figures.TRAVEL in [t.get_text() for t in stage.axes.texts]
+    assert drawing.TRAVEL in [t.get_text() for t in stage.axes.texts]
 
 
 def test_two_scenes_have_one_arrow_or_each_its_own(run: RecordedRun) -> None:

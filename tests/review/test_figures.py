@@ -2,14 +2,16 @@
 
 import math
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.patches import Patch
 
-from derail_ros.review import figures
+from derail_ros.review import drawing, figures
 from derail_ros.review.scene import Scene, make_scene
+from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.params import Car, CouplerType
 
 F79 = CouplerType("F79", "F", 1.092, 0.788, 0.170, 3.15e6)
@@ -114,7 +116,7 @@ def test_wrong_shapes_are_named():
 
 def test_scene_from_a_curved_track():
     class Circle:
-        start, end = -1000.0, 1000.0
+        start, end, straight = -1000.0, 1000.0, False
 
         def point(self, s):
             return (
@@ -253,7 +255,7 @@ def test_numbers_of_cars_that_lie_on_each_other_do_not():
     pose = np.zeros((3, 3))
     pose[:, 0] = [0.0, 0.5, 60.0]
     scene = make_scene(cars(3), pose, np.zeros((3, 2)), np.zeros(2))
-    places = figures._label_places(scene, 2.0)
+    places = drawing.number_places(scene, 2.0)
     assert np.linalg.norm(places[1] - places[0]) >= 2.0
     np.testing.assert_allclose(places[[0, 2]], pose[[0, 2], :2])
 
@@ -261,9 +263,22 @@ def test_numbers_of_cars_that_lie_on_each_other_do_not():
 # peak_forces -------------------------------------------------------------------------------
 
 
+def peaks(force, other, time=None, derailed=()):
+    """An outcome with these peak forces."""
+    n = len(force)
+    outcome = Outcome.nothing(np.zeros((n, 6)), "at rest", 20.0)
+    return replace(
+        outcome,
+        car_peak_force=np.asarray(force, dtype=float),
+        car_peak_other=np.asarray(other),
+        car_peak_time=np.full(n, math.nan) if time is None else np.asarray(time),
+        derailed_cars=tuple(derailed),
+    )
+
+
 def test_peak_forces_shows_bars_lines_and_opponents():
     drawn = figures.peak_forces(
-        [2e6, 7e6, 12e6, 0.0], [2, 1, 2, 0], time=[1.0, 2.0, 3.0, math.nan], derailed=(1, 2, 3)
+        peaks([2e6, 7e6, 12e6, 0.0], [2, 1, 2, 0], [1.0, 2.0, 3.0, math.nan], (1, 2, 3))
     )
     (axes,) = drawn.axes
     heights = sorted(p.get_height() for p in axes.patches)
@@ -279,13 +294,15 @@ def test_peak_forces_shows_bars_lines_and_opponents():
 def test_peak_forces_leaves_out_cars_far_from_the_trouble_and_says_so():
     force = np.zeros(74)
     force[30:40] = 3e6
-    drawn = figures.peak_forces(force, np.ones(74, dtype=int), derailed=tuple(range(31, 41)))
+    drawn = figures.peak_forces(
+        peaks(force, np.ones(74, dtype=int), np.zeros(74), derailed=range(31, 41))
+    )
     assert drawn.axes[0].get_xlim() == pytest.approx((28.3, 42.7))
-    assert any("cars 1 to 28 and 43 to 74" in t for t in texts(drawn))
+    assert any("cars 1 to 28, 43 to 74" in t for t in texts(drawn))
 
 
 def test_peak_forces_without_collisions():
-    drawn = figures.peak_forces(np.full(5, np.nan), np.zeros(5, dtype=int))
+    drawn = figures.peak_forces(peaks(np.full(5, np.nan), np.zeros(5, dtype=int)))
     assert "no collisions" in texts(drawn)
 
 
@@ -294,7 +311,7 @@ def test_peak_forces_without_collisions():
 
 def test_save_writes_a_png_and_leaves_pyplot_alone(tmp_path, figure):
     before = "matplotlib.pyplot" in sys.modules
-    path = figures.save(figure, tmp_path / "scene.png", dpi=60)
+    path = drawing.save(figure, tmp_path / "scene.png", dpi=60)
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert ("matplotlib.pyplot" in sys.modules) == before
 
@@ -304,11 +321,11 @@ def test_settings_of_others_are_left_alone():
 
     before = dict(matplotlib.rcParams)
     figures.final_scene(pile_up())
-    figures.peak_forces([1e6], [1])
+    figures.peak_forces(peaks([1e6], [1], [0.0]))
     assert dict(matplotlib.rcParams) == before
 
 
 def test_the_same_scene_gives_the_same_picture(tmp_path):
-    a = figures.save(figures.final_scene(pile_up()), tmp_path / "a.png", dpi=50)
-    b = figures.save(figures.final_scene(pile_up()), tmp_path / "b.png", dpi=50)
+    a = drawing.save(figures.final_scene(pile_up()), tmp_path / "a.png", dpi=50)
+    b = drawing.save(figures.final_scene(pile_up()), tmp_path / "b.png", dpi=50)
     assert a.read_bytes() == b.read_bytes()

@@ -7,6 +7,7 @@ import pytest
 from derail_ros.recording import record_run
 from derail_ros.recording.reader import read_bag
 from derail_ros.review import figures, plots, summary
+from derail_ros.review.scene import final_scene
 from tests.nodes.support import simulation, small
 
 SCENARIO = """
@@ -51,12 +52,12 @@ def test_the_summary_has_no_nonsense(short) -> None:
 
 
 def test_the_scene_tells_of_couplings_where_there_are_some(short) -> None:
-    figure = figures.final_scene(summary.final_scene(short))
+    figure = figures.final_scene(final_scene(short))
     assert ("coupled" in told(figure)) == (short.n > 1)
     assert "parted" not in told(figure)
     # The dimensions lie clear of the cars and of the couplers at their ends.
     main = figure.axes[0]
-    scene = summary.final_scene(short)
+    scene = final_scene(short)
     renderer = figure.canvas.get_renderer()
     figure.draw_without_rendering()
     labels = [t for t in main.texts if re.fullmatch(r"[\d.]+ m", t.get_text())]
@@ -87,6 +88,6 @@ def test_the_energy_has_no_parts_of_nothing(short) -> None:
 
 
 def test_peak_forces_where_no_car_was_struck(short) -> None:
-    texts = told(plots.peak_forces(short))
+    texts = told(figures.peak_forces(short.outcome))
     assert "No car was struck." in texts
     assert not any(t.startswith(("Above each bar", "below 5 MN")) for t in texts)
