@@ -45,7 +45,6 @@ STUDIES = [
     "pyarrow>=15",
     "SALib>=1.5",
     "dask[distributed]>=2024.1",
-    "joblib>=1.3",
     "scipy>=1.11",
 ]
 
@@ -79,6 +78,9 @@ DEV = [
     "ruff==0.17.6",
     "mypy==2.4.1",
     "types-PyYAML",
+    "import-linter==2.17",
+    "codespell==2.4.3",
+    "proselint==0.16.0",
 ]
 
 
