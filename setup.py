@@ -22,6 +22,7 @@ BASE = [
     "matplotlib>=3.8",
     "rosbags>=0.10.9",
     "mcap>=1.6",
+    "scipy>=1.11",
 ]
 
 # ROS 2 Kilted as wheels (x86-64 Linux): the versions that were tested together.
@@ -45,7 +46,6 @@ STUDIES = [
     "pyarrow>=15",
     "SALib>=1.5",
     "dask[distributed]>=2024.1",
-    "scipy>=1.11",
 ]
 
 # Films as MP4: the ffmpeg that comes as a wheel. GIF needs nothing.
@@ -57,7 +57,6 @@ TEST = [
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
     "hypothesis>=6.100",
-    "scipy>=1.11",
     "mcap-ros2-support>=0.5",
     "selenium>=4.15",
     "sympy>=1.12",
