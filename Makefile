@@ -64,7 +64,8 @@ EXTRAS := ros,studies,dev
 PARTS := $(STAMPS)/msgs $(STAMPS)/project-$(EXTRAS)
 endif
 
-.PHONY: help env run lint test test-plain test-ros verify bench pages clean
+LINTS := lint-ruff lint-format lint-types lint-walls lint-spelling lint-prose
+.PHONY: help env run lint $(LINTS) test test-plain test-ros verify bench pages clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -106,10 +107,21 @@ run: env  ## show a derailment
 TEST_ENVIRONMENT := ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
   ROS_LOG_DIR=$(CURDIR)/$(VENV)/log/ros MPLBACKEND=agg
 
-lint: env  ## ruff (lint and format) and mypy
+# `make lint` goes on after a failure, so that its end shows what all tools found.
+lint: env  ## ruff, mypy, the walls between the rooms, spelling and prose
+	@$(MAKE) --keep-going $(LINTS)
+lint-ruff:
 	$(BIN)/ruff check .
+lint-format:
 	$(BIN)/ruff format --check .
+lint-types:
 	$(BIN)/mypy
+lint-walls:
+	$(BIN)/lint-imports --no-cache
+lint-spelling:
+	$(BIN)/codespell
+lint-prose:
+	$(BIN)/proselint --config .proselintrc.json check $(wildcard *.md docs/*.md)
 
 test-plain: env
 	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and not ros" -n auto \

@@ -22,6 +22,7 @@ BASE = [
     "matplotlib>=3.8",
     "rosbags>=0.10.9",
     "mcap>=1.6",
+    "scipy>=1.11",
 ]
 
 # ROS 2 Kilted as wheels (x86-64 Linux): the versions that were tested together.
@@ -45,8 +46,6 @@ STUDIES = [
     "pyarrow>=15",
     "SALib>=1.5",
     "dask[distributed]>=2024.1",
-    "joblib>=1.3",
-    "scipy>=1.11",
 ]
 
 # Films as MP4: the ffmpeg that comes as a wheel. GIF needs nothing.
@@ -58,7 +57,6 @@ TEST = [
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
     "hypothesis>=6.100",
-    "scipy>=1.11",
     "mcap-ros2-support>=0.5",
     "selenium>=4.15",
     "sympy>=1.12",
@@ -79,6 +77,9 @@ DEV = [
     "ruff==0.17.6",
     "mypy==2.4.1",
     "types-PyYAML",
+    "import-linter==2.17",
+    "codespell==2.4.3",
+    "proselint==0.16.0",
 ]
 
 

@@ -48,7 +48,7 @@ def engine(name: str = PLANAR) -> Engine:
         module, _, attribute = found.partition(":")
         found = getattr(importlib.import_module(module), attribute)
     _ENGINES[name] = found
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def build(params: TrainParams) -> Simulation:

@@ -38,13 +38,13 @@ ADD, DELETE, DELETE_ALL = 0, 2, 3
 
 BLUE = (0.0, 0.447, 0.698)
 ORANGE = (0.902, 0.624, 0.0)
-VERMILLION = (0.835, 0.369, 0.0)
+VERMILION = (0.835, 0.369, 0.0)
 PURPLE = (0.8, 0.475, 0.655)
 BLACK = (0.05, 0.05, 0.05)
 WHITE = (1.0, 1.0, 1.0)
 BALLAST = (0.55, 0.53, 0.5)
 
-ON_RAILS, DERAILED, STRUCK_HARD = BLUE, ORANGE, VERMILLION
+ON_RAILS, DERAILED, STRUCK_HARD = BLUE, ORANGE, VERMILION
 
 HARD = 5.0e6
 """Force at a single corner known to rupture a tank car, N."""
@@ -386,7 +386,7 @@ def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
                 "rail_breaks",
                 number,
                 CUBE,
-                VERMILLION,
+                VERMILION,
                 position=(bx, by, 0.4),
                 rotation=(np.sin(half), np.cos(half)),
                 scale=(0.4, BED_WIDTH + 1.0, 0.8),

@@ -158,7 +158,8 @@ class Scenario:
         ScenarioError
             Naming the path.
         """
-        if not isinstance(overrides, Mapping):
+        given: Any = overrides
+        if not isinstance(given, Mapping):
             reason = f"must be a mapping of dotted paths to values, got {type(overrides).__name__}"
             raise ScenarioError(self.name, None, "overrides", reason)
         marks = {path: Mark(self.name, None) for path in overrides}

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -37,6 +36,9 @@ from derail_ros.studies.results import StudyResults
 from derail_ros.studies.sentences import shown
 from derail_ros.studies.study_measures import RELATIVE_SEVERITY, measure_of
 from derail_ros.vocabulary.words import count
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WIDTH = 10.0
 MOST_SERIES = 7

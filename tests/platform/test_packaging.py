@@ -38,6 +38,7 @@ BROUGHT = {
 }
 # what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
 NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros"}
+LINTERS = {"ruff", "mypy", "import-linter", "codespell", "proselint"}
 WHEELS_ONLY = {"rmw_fastrtps_cpp", "rosidl_default_runtime", "rosidl_generator_py"}
 
 
@@ -111,7 +112,7 @@ def test_dependencies_of_manifest_and_setup_py_agree(arguments):
 
 def test_ros_wheels_and_linters_are_pinned(arguments):
     extras = arguments["extras_require"]
-    pinned = [*extras["ros"], *(r for r in extras["dev"] if name(r) in ("ruff", "mypy"))]
+    pinned = [*extras["ros"], *(r for r in extras["dev"] if name(r) in LINTERS)]
     assert len(pinned) >= 10
     assert all(re.fullmatch(r"[\w-]+==[\d.]+", requirement) for requirement in pinned)
 
@@ -219,23 +220,6 @@ def test_what_a_module_imports_is_a_declared_dependency(path, modules):
             assert module in own | modules["base"] | modules["figures"], (
                 f"{relative} imports {module} at once: it is not a base dependency"
             )
-
-
-@pytest.mark.parametrize(
-    "path",
-    [path for path in SOURCES if path.is_relative_to(ROOT / "derail_ros" / "engine")],
-    ids=lambda p: p.name,
-)
-def test_the_engine_knows_nothing_of_ros_and_opens_no_file(path, modules):
-    found = imported(path)
-    assert not found.keys() & (modules["ros"] | {"msg_adapters", "rosbags", "rclpy"})
-    calls = {
-        node.func.id
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    }
-    # the cache of the kernels and its lock are the exception
-    assert path.name in ("jit.py", "warming.py") or "open" not in calls
 
 
 @pytest.mark.parametrize("executable", ["simulator", "recorder", "player"])
