@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import shutil
 import subprocess
@@ -285,6 +286,7 @@ def film(
 
 def _mp4(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:
     matplotlib.rcParams["animation.ffmpeg_path"] = _ffmpeg()
+    logging.getLogger("matplotlib.animation").setLevel(logging.ERROR)  # it is said below
     writer = FFMpegWriter(fps=fps, codec="h264", extra_args=["-crf", "23"])
     try:
         with writer.saving(stage.figure, str(path), DPI):
@@ -292,10 +294,10 @@ def _mp4(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:
                 stage.show(moment)
                 writer.grab_frame()
     except subprocess.CalledProcessError as error:
-        said = (error.stderr or b"").decode(errors="replace").strip().splitlines()
-        raise FilmError(f"{path}: ffmpeg: {said[-1] if said else error}") from None
+        said = str(error.stderr or error).strip().splitlines()
+        raise FilmError(f"ffmpeg: {said[-1]}") from None
     except OSError as error:
-        raise FilmError(f"{path}: ffmpeg: {str(error).splitlines()[0]}") from None
+        raise FilmError(f"ffmpeg: {str(error).splitlines()[0]}") from None
 
 
 def _gif(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:
