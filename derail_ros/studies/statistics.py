@@ -24,15 +24,17 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.results import StudyResults
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVEL = 0.95
 """Level of the intervals."""
@@ -76,6 +78,8 @@ def describe(values: Iterable[float]) -> dict[str, float]:
 @_once
 def summary(results: StudyResults) -> pd.DataFrame:
     """A row for each point and measure, in this order."""
+    import pandas as pd
+
     first = results.first
     names = [*(["varied"] if "varied" in first else []), *results.design.columns]
     status = results.table.groupby("point")["status"]
@@ -184,6 +188,8 @@ def alike(apart: NDArray[np.bool_]) -> list[tuple[int, int]]:
 @_once
 def effects(results: StudyResults) -> pd.DataFrame:
     """What each parameter does to each measure; the columns depend on the design."""
+    import pandas as pd
+
     design = results.design
     if isinstance(design, Sobol):
         return sobol(results)
@@ -293,6 +299,7 @@ def sobol(results: StudyResults) -> pd.DataFrame:
     of the 2 D + 2 points has no run that counts is left out. With two or more runs a point the
     share of the variance that is chaos (the runs of a point among themselves) is a row too.
     """
+    import pandas as pd
     from SALib.analyze import sobol as analyze
 
     design = results.design
