@@ -298,14 +298,9 @@ def _scene(
 ) -> Scene:
     from derail_ros.review.scene import make_scene
 
-    scene = make_scene(cars, pose, truck_on, coupled, **more)
-    return dataclasses.replace(
-        scene,
-        scene_length=outcome.scene_length,
-        scene_width=outcome.scene_width,
-        scene_area=outcome.scene_area,
-        numbers=numbers or scene.numbers,
-    )
+    scene = make_scene(cars, pose, truck_on, coupled, outcome=outcome, **more)
+    unknown = np.full(len(cars), np.nan)
+    return dataclasses.replace(scene, peak_force=unknown, numbers=numbers or scene.numbers)
 
 
 # Without forces -------------------------------------------------------------------------------
@@ -392,7 +387,7 @@ def _blockage(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, 
     return _one_dimensional(params, train, answer)
 
 
-def _bar(case: Callable[..., bar.BarEstimate], **form: Any) -> Callable[..., Any]:
+def _bar(case: Callable[..., bar.Estimate], **form: Any) -> Callable[..., Any]:
     def run(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, Any]]:
         train = derailing_train(params)
         length = train.mean_length()
