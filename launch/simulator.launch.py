@@ -10,8 +10,8 @@ from launch_ros.substitutions import FindPackageShare
 ARGUMENTS = {
     "scenario": ("mississauga", "name of the scenario"),
     "speed_factor": ("1.0", "simulation time per wall time; 0 is as fast as possible"),
-    "record": ("", "path of a lossless recording that the simulator writes; empty for none"),
-    "await_listeners": ("0", "begin when each state topic has so many subscribers"),
+    "record": ("", "folder of the lossless recording that the simulator writes; empty for none"),
+    "await_listeners": ("0", "start when each state topic has this many subscribers"),
 }
 TYPES = {"scenario": str, "speed_factor": float, "record": str, "await_listeners": int}
 

@@ -19,6 +19,7 @@ PAGES = {
     "baselines": "the earlier models beside this one",
     "accidents": "reported accidents; NAMES: files of accident reports (CSV, FRA form 54)",
     "studies": "the studies that ship; NAMES: only these",
+    "parameters": "parameters and topics of the nodes; config/simulator.yaml too",
     "screenshots": "pictures of a final scene and of the replay page",
 }
 """Name of a page, which is also the name of its module -> what it shows."""

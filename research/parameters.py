@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from derail_ros.nodes.parameters import NODES, Value
 from msg_adapters.topics import TOPICS
-
-if TYPE_CHECKING:
-    from research.pages import Options
-
-ROOT = Path(__file__).resolve().parents[1]
+from research.pages import ROOT, Options
 
 
 def write(options: Options) -> None:

@@ -18,14 +18,8 @@ PROBATION = 30.0
 class ClockGuard:
     """Opens the publisher of the clock when no other node has one, and closes it otherwise.
 
-    It also takes over when the other node is gone. The middleware announces a killed node for
-    another 20 s or so.
-
-    Parameters
-    ----------
-    node : the ``rclpy`` node
-    open, close : make and destroy its publisher of the clock
-    wanted : the parameter ``publish_clock``
+    It also takes over when the other node is gone; the middleware announces a killed node for
+    another 20 s or so. ``open`` and ``close`` make and destroy the publisher.
     """
 
     def __init__(

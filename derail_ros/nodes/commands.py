@@ -41,15 +41,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a request.
+    """Answer to a request: applied at simulation time ``stamp`` (ns), after so many steps.
 
-    Attributes
-    ----------
-    success, message : as in every service
-    stamp : simulation time at which it was applied, ns
-    step : accepted integration steps at that moment
-    run_id : identity of the run
-    value : a number that belongs to the answer (the coordinate of a break)
+    ``value`` is a number that belongs to the answer: the coordinate of a break (m).
     """
 
     success: bool
@@ -70,14 +64,9 @@ def one_of(name: str, value: int, number: int) -> None:
 
 
 def rail_break(coordinate: float, car: int) -> dict[str, Any]:
-    """Arguments of ``Simulation.inject_rail_break`` from a request.
+    """Arguments of ``Simulation.inject_rail_break``, or a refusal of two places and of none.
 
-    A field that is left out is 0, and NaN says the same: a break with a car has no coordinate.
-
-    Raises
-    ------
-    Refusal
-        If the request names two places or none.
+    With a car, a coordinate of 0 (a field that was left out) or NaN is no place.
     """
     if not car:
         if not math.isfinite(coordinate):
@@ -91,13 +80,7 @@ def rail_break(coordinate: float, car: int) -> dict[str, Any]:
 
 
 def emergency_brake(mode: int, source: int, car: int, delay: float) -> dict[str, Any]:
-    """Arguments of ``Simulation.trigger_emergency_brake`` from a request.
-
-    Raises
-    ------
-    Refusal
-        If a number is out of its range.
-    """
+    """Arguments of ``Simulation.trigger_emergency_brake``, or a refusal."""
     one_of("mode", mode, len(BRAKE_MODES))
     one_of("source", source, len(BRAKE_SOURCES))
     if not math.isfinite(delay) or delay < 0.0:
@@ -146,19 +129,7 @@ def shortened(value: Any) -> Any:
 
 
 class CommandLog:
-    """Answers requests, and logs them: as messages, in the manifest, refusals to the user too.
-
-    Parameters
-    ----------
-    emit
-        Publishes and records a message.
-    log
-        The node's logger.
-
-    Attributes
-    ----------
-    refused : requests refused so far
-    """
+    """Answers requests, and logs them: as messages, in the manifest, refusals to the user too."""
 
     def __init__(self, emit: Callable[[str, int, bytes], None], log: Any) -> None:
         self.refused = 0
@@ -177,15 +148,7 @@ class CommandLog:
         value: float = math.nan,
         accepted: bool | None = None,
     ) -> Answer:
-        """Log a request and answer it.
-
-        Parameters
-        ----------
-        session, context : the run, if there is one, and what its messages carry
-        request : what was asked
-        success, message, value : of the answer
-        accepted : whether anything was done, if that is not the same as ``success``
-        """
+        """Log a request and answer it; ``accepted`` differs from ``success`` if part was done."""
         accepted = success if accepted is None else accepted
         command, message = request.command, shortened(message)
         fields = {name: shortened(value) for name, value in request.fields.items()}

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import enum
 import math
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from derail_ros.nodes import commands, loading
 from derail_ros.nodes.commands import Answer, CommandLog, Refusal, Request
-from derail_ros.nodes.failed_state import save_state
 from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.own_recording import OwnRecording
 from derail_ros.nodes.pace import Pace
@@ -51,16 +52,7 @@ class _Stepping:
 class SimulatorCore:
     """States and runs of a simulator.
 
-    Parameters
-    ----------
-    settings
-        May be changed between calls, except those that the parameter table marks as read-only.
-    output
-        Takes live messages.
-    logger
-        Takes log lines with ``info``, ``warning`` and ``error``.
-    wall
-        Steady clock, s.
+    ``output`` takes live messages, ``logger`` log lines, ``wall`` is the steady clock (s).
 
     Raises
     ------
@@ -69,11 +61,7 @@ class SimulatorCore:
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        output: Output,
-        logger: Any,
-        wall: Callable[[], float],
+        self, settings: Settings, output: Output, logger: Any, wall: Callable[[], float]
     ) -> None:
         self.settings = settings
         self.state = State.STOPPED
@@ -161,10 +149,7 @@ class SimulatorCore:
     def load(
         self, prepared: Prepared | ValueError, request: Mapping[str, Any], caller: str = ""
     ) -> Answer:
-        """Begin a run of a prepared scenario, or refuse with the error of its preparation.
-
-        ``request`` has the fields of ``derail_msgs/LoadConsist``.
-        """
+        """Begin a run of a prepared scenario, or refuse with the error of its preparation."""
 
         def act() -> str:
             if isinstance(prepared, ValueError):
@@ -331,11 +316,24 @@ class SimulatorCore:
     def fail(self, session: Session) -> None:
         """The run cannot go on: pause, and keep its state."""
         self._go(State.PAUSED)
-        place = save_state(session.simulation, self.run_id, self.settings.state_dir)
+        place = self._save_state(session)
         self.failure = f"{session.failure} (state saved to {place})"
         self._interrupt("the run has failed")
         self.recording.enter(session)
         self._logger.error(f"run {self.run_id} has failed: {self.failure}")
+
+    def _save_state(self, session: Session) -> str:
+        """Save the last accepted state; returns the file, or why there is none."""
+        reason = ""
+        for folder in filter(None, (self.settings.state_dir, tempfile.gettempdir())):
+            file = Path(folder) / f"failed-{self.run_id}.state"
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_bytes(session.simulation.to_bytes())
+                return str(file)
+            except OSError as error:
+                reason = str(error)
+        return f"nowhere: {reason}"
 
     def close(self) -> None:
         """End the run and close the recording whole."""

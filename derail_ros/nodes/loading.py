@@ -19,13 +19,7 @@ MAX_YAML = 256 * 1024
 
 @functools.cache
 def warm_up(model: str) -> None:
-    """Do what a model's engine does once a process (compile or load kernels).
-
-    Raises
-    ------
-    ParameterError
-        There is no such model.
-    """
+    """Do what a model's engine does once a process: compile or load kernels."""
     models.engine(model).warm_up()
 
 
@@ -53,14 +47,9 @@ def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
 def prepare(
     name: str, text: str, speed_kmh: float, *, dirs: Sequence[str], frame_id: str
 ) -> Prepared:
-    """Read a scenario and make it ready to run; may be called from any thread.
+    """Read a scenario and make it ready to run, from any thread.
 
-    Parameters
-    ----------
-    name, text : one of them, the other ""
-    speed_kmh : initial speed instead of the scenario's; 0 or NaN: the scenario's
-    dirs : folders of scenarios
-    frame_id : frame of its messages
+    A speed of 0 or NaN is the scenario's own.
 
     Raises
     ------

@@ -36,13 +36,7 @@ class Output(Protocol):
 
 
 def make_publisher(node: Any, name: str, msgtype: str, qos: Any) -> Any:
-    """A publisher whose QoS can be overridden by parameters.
-
-    Raises
-    ------
-    ImportError, AttributeError, ValueError
-        If the message type is not installed.
-    """
+    """A publisher whose QoS can be overridden by parameters."""
     from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.qos_overriding_options import QoSOverridingOptions
 
@@ -66,7 +60,7 @@ def acknowledged(publisher: Any, seconds: float) -> bool:
 
 @dataclass
 class _Retired:
-    """A replaced publisher, and who has to get what it sent."""
+    """A replaced publisher, and the number of subscribers that have to get what it sent."""
 
     publisher: Any
     expected: int
@@ -192,12 +186,6 @@ class ListenerWait:
     A subscriber that has matched here may not have matched there yet: its first messages are sent
     again until it has, but only as many as the depth. So a node that has waited for listeners
     sends its first messages, lets them settle for ``FIRST_WAIT`` and then goes on.
-
-    Parameters
-    ----------
-    count : gives the number of subscribers that are there
-    wanted : number of subscribers to wait for
-    log : the node's logger
     """
 
     def __init__(self, count: Callable[[], int], wanted: int, log: Any) -> None:

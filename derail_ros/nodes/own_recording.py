@@ -12,18 +12,7 @@ from derail_ros.recording.session import Session
 
 
 class OwnRecording:
-    """A recording without loss; a run goes on if its recording fails.
-
-    Parameters
-    ----------
-    settings
-        ``record`` names the folder; without one nothing is written.
-    log
-        The node's logger.
-
-    Attributes
-    ----------
-    error : why the recording is not whole, "" as long as it is
+    """A recording without loss. A run goes on if its recording fails; ``error`` says why.
 
     Raises
     ------

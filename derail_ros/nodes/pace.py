@@ -21,13 +21,6 @@ class Pace:
     A run that cannot keep up falls behind and stays behind: it never takes a longer tick and
     never hurries to catch up.
 
-    Parameters
-    ----------
-    settings
-        ``speed_factor``, ``clock_rate`` and ``marker_rate`` are read at each call.
-    wall
-        Steady clock, s.
-
     Attributes
     ----------
     tick_length : simulation time of a tick of the present run, s

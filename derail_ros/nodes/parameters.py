@@ -215,10 +215,8 @@ NODES = {"simulator": SIMULATOR, "recorder": RECORDER, "player": PLAYER}
 class Settings:
     """The parameters of a simulator as attributes, and where it runs.
 
-    Attributes
-    ----------
-    namespace, name : of the node
-    state_dir : folder for the state of a failed run, "" for the default
+    ``namespace`` and ``name`` are those of the node, ``state_dir`` is the folder for the state of
+    a failed run.
     """
 
     namespace: str = ""

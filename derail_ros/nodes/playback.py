@@ -31,24 +31,17 @@ Item = tuple[int, str, bytes]
 
 
 class Playback:
-    """A recording that is played.
-
-    Parameters
-    ----------
-    path
-        Of the recording; it must be whole.
-    output
-        Where messages go; may be set later.
-    wall
-        Steady clock, s.
+    """A recording that is played; it must be whole. ``output`` may be set later.
 
     Attributes
     ----------
     start, end : recorded time of the first and last message, ns
     channels : the topics that are played
+    rate : recorded time per wall time
+    paused : time stands still
     loop : start again at the end
-    stopped : a client has stopped the player
     laps : how often it has started again
+    stopped : a client has stopped the player
 
     Raises
     ------
@@ -80,8 +73,8 @@ class Playback:
             for channel, stamp, data in self.bag.messages(self._is_latched)
         ]
         self._wall = wall
-        self._rate = 1.0
-        self._paused = True
+        self.rate = 1.0
+        self.paused = True
         self._now = self.start
         self._anchor = wall()
         self._next: Item | None = None
@@ -104,23 +97,13 @@ class Playback:
     @property
     def now(self) -> int:
         """Recorded time, ns."""
-        if self._paused:
+        if self.paused:
             return self._now
-        elapsed = (self._wall() - self._anchor) * self._rate * NANOSECONDS
+        elapsed = (self._wall() - self._anchor) * self.rate * NANOSECONDS
         return min(self._now + int(elapsed), self.end)
 
     def _set(self, now: int) -> None:
         self._now, self._anchor = now, self._wall()
-
-    @property
-    def paused(self) -> bool:
-        """Whether time stands still."""
-        return self._paused
-
-    @property
-    def rate(self) -> float:
-        """Recorded time per wall time."""
-        return self._rate
 
     @property
     def finished(self) -> bool:
@@ -130,14 +113,14 @@ class Playback:
     def pause(self) -> None:
         """Let time stand still."""
         self._set(self.now)
-        self._paused = True
+        self.paused = True
 
     def resume(self) -> None:
         """Go on, from the start if the end had been reached."""
         if self.finished:
             self.seek(self.start)
-        if self._paused:
-            self._paused = False
+        if self.paused:
+            self.paused = False
             self._anchor = self._wall()
 
     def set_rate(self, rate: float) -> bool:
@@ -145,7 +128,7 @@ class Playback:
         if not math.isfinite(rate) or rate <= 0.0:
             return False
         self._set(self.now)
-        self._rate = float(rate)
+        self.rate = float(rate)
         return True
 
     def seek(self, stamp: int) -> bool:
@@ -193,7 +176,7 @@ class Playback:
     def work(self) -> float:
         """Publish what is due; returns the wall time until which nothing else is."""
         began = self._wall()
-        if self._paused:
+        if self.paused:
             return began + IDLE
         if self._next is not None and self._seconds_to(self._next) < -STALL:
             # The machine stood still: go on from here, without a burst.
@@ -213,7 +196,7 @@ class Playback:
 
     def _seconds_to(self, item: Item) -> float:
         """Wall time until a message is due, s."""
-        return (item[0] - self.now) / NANOSECONDS / self._rate
+        return (item[0] - self.now) / NANOSECONDS / self.rate
 
     def _send(self) -> None:
         if self._next is None:
@@ -229,7 +212,7 @@ class Playback:
 
     def play_next(self) -> bool:
         """Publish the next message; only while paused, and not at the end."""
-        if not self._paused or self._next is None:
+        if not self.paused or self._next is None:
             return False
         self._set(self._next[0])
         self._send()

@@ -57,13 +57,7 @@ class Stop:
             raise Interrupted
 
     def during(self, work: Callable[[], Any]) -> Any:
-        """Do long work that a signal may interrupt.
-
-        Raises
-        ------
-        Interrupted
-            If a signal has arrived before or arrives meanwhile.
-        """
+        """Do long work; a signal before or meanwhile raises :class:`Interrupted`."""
         self._raises = True
         try:
             if self.asked:
@@ -103,14 +97,7 @@ class Program(ABC):
 
 
 def run_node(name: str, make: Callable[[Any], Program], argv: Sequence[str] | None) -> int:
-    """Run a node until it ends or is told to; returns the exit code of the process.
-
-    Parameters
-    ----------
-    name : of the node, which the command line can change
-    make : makes the program from the ``rclpy`` node
-    argv : arguments of the command line, ``sys.argv`` if None
-    """
+    """Run a node until it ends or is told to; returns the exit code of the process."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(arguments):
         print(usage(name))

@@ -30,13 +30,8 @@ def service_qos() -> Any:
 class DeferredService:
     """A service whose answer may be given after its callback has returned.
 
-    ``rclpy`` offers coroutines for that, but its executor polls them, and serves nothing else
-    while one waits.
-
-    Parameters
-    ----------
-    callback
-        Takes request, response and a function that sends the response.
+    The callback takes request, response and a function that sends the response. ``rclpy`` offers
+    coroutines for that, but its executor polls them, and serves nothing else while one waits.
     """
 
     def __init__(
@@ -77,12 +72,8 @@ class RequestWaiter:
 
     A round of ``rclpy``'s executor costs as much as publishing a whole tick: it collects all
     entities and makes a wait set of them. Here the wait set is made once, and the executor runs
-    only when there is something to serve, and once a second for everything else.
-
-    Parameters
-    ----------
-    node : the ``rclpy`` node
-    woken : a guard condition of it, which ends the waiting from any thread
+    only when there is something to serve, and once a second for everything else. The guard
+    condition ``woken`` ends the waiting from any thread.
     """
 
     def __init__(self, node: Any, woken: Any) -> None:
