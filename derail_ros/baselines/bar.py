@@ -30,11 +30,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from derail_ros.vocabulary.params import GRAVITY
+
 F64 = NDArray[np.float64]
 Form = Literal["published", "corrected"]
-
-GRAVITY = 9.81
-"""Acceleration of gravity, m/s^2."""
 
 FORMS: tuple[Form, ...] = ("published", "corrected")
 
@@ -58,15 +57,15 @@ BRAKE_CONSTANT_SPEED = 22.2
 
 
 @dataclass(frozen=True)
-class BarEstimate:
-    """Answer of a bar case; every field has the broadcast shape of the arguments.
+class Estimate:
+    """Answer of a model with one coordinate; every field has the broadcast shape of the arguments.
 
     Attributes
     ----------
-    distance : distance of the bar's front beyond the point when it stops, or its length if all of
+    distance : of the train's front beyond the point of derailment when it stops, or when all of
         it went over, m
-    cars_derailed : ``distance / l_car``, not rounded
-    whole_train : the whole bar went over before it could stop
+    cars_derailed : not rounded
+    whole_train : all of it went over before it could stop
     duration : time until it stops, or until all of it has gone over, s
     peak_speed : largest speed on the way, m/s: above ``v0`` where a form gains energy
     """
@@ -87,25 +86,28 @@ def brake_friction(speed: ArrayLike) -> F64:
     return (v + 19.223) / (v + 9.388) * (9.388 / 19.223)
 
 
-def _check(name: str, value: ArrayLike, *, positive: bool = False) -> F64:
-    array = np.asarray(value, dtype=float)
-    bad = ~np.isfinite(array) | ((array <= 0.0) if positive else (array < 0.0))
-    if np.any(bad):
-        rule = "positive" if positive else "zero or positive"
-        raise ValueError(f"{name}: must be {rule} and finite, not {array[bad].flat[0]:g}")
-    return array
+POSITIVE = ("cars", "car_length", "ground_length", "mass")
+"""Arguments that must be above zero; the others may be zero."""
 
 
-def _arguments(
-    speed: ArrayLike, cars: ArrayLike, car_length: ArrayLike, *others: ArrayLike
-) -> tuple[F64, ...]:
-    arrays = np.broadcast_arrays(
-        _check("speed", speed),
-        _check("cars", cars, positive=True),
-        _check("car_length", car_length, positive=True),
-        *others,
-    )
-    return tuple(np.array(a, dtype=float) for a in arrays)
+def arrays(**arguments: ArrayLike) -> list[F64]:
+    """Checked arguments, broadcast to one shape, as copies."""
+    for name, value in arguments.items():
+        array = np.asarray(value, dtype=float)
+        positive = name in POSITIVE
+        bad = ~np.isfinite(array) | ((array <= 0.0) if positive else (array < 0.0))
+        if np.any(bad):
+            rule = "positive" if positive else "zero or positive"
+            raise ValueError(f"{name}: must be {rule} and finite, not {array[bad].flat[0]:g}")
+    return [np.array(a, dtype=float) for a in np.broadcast_arrays(*arguments.values())]
+
+
+def check_brakes(rise_time: float, signal_speed: float) -> None:
+    """Refuse times and speeds that no brake has."""
+    if not np.isfinite(rise_time) or rise_time < 0.0:
+        raise ValueError(f"rise_time: must be zero or positive and finite, not {rise_time:g}")
+    if not signal_speed > 0.0:
+        raise ValueError(f"signal_speed: must be positive, not {signal_speed:g}")
 
 
 def slide_distance(speed: ArrayLike, length: ArrayLike, mu1: ArrayLike, mu2: ArrayLike) -> F64:
@@ -156,7 +158,7 @@ def bar_case_1(
     mu1: ArrayLike = 0.05,
     mu2: ArrayLike = 0.5,
     car_length: ArrayLike = CAR_LENGTH,
-) -> BarEstimate:
+) -> Estimate:
     r"""Case 1: the whole bar keeps sliding (published figure: mu2 = 0.5, 64 km/h).
 
     ``v0^2 = (g/l) (2 x l mu1 + x^2 (mu2 - mu1))``, see :func:`slide_distance`. The count is cut
@@ -169,13 +171,12 @@ def bar_case_1(
     mu1, mu2 : friction of the rails and of the ground
     car_length : m
     """
-    m1, m2 = _check("mu1", mu1), _check("mu2", mu2)
-    v, n, lc, m1, m2 = _arguments(speed, cars, car_length, m1, m2)
+    v, n, lc, m1, m2 = arrays(speed=speed, cars=cars, car_length=car_length, mu1=mu1, mu2=mu2)
     length = n * lc
     x = slide_distance(v, length, m1, m2)
     whole = x >= length
     x = np.minimum(x, length)
-    return BarEstimate(x, x / lc, whole, _slide_time(v * v, x, length, m1, m2), v.copy())
+    return Estimate(x, x / lc, whole, _slide_time(v * v, x, length, m1, m2), v.copy())
 
 
 def limiting_speed(
@@ -200,9 +201,9 @@ def limiting_speed(
     The published one stays within ``g d (mu2 - mu1)`` of ``2 g mu1 l / 3`` however long the train;
     the corrected one grows with ``2 g mu1 l`` and the logarithm of the length.
     """
-    m1, m2 = _check("mu1", mu1), _check("mu2", mu2)
-    d = _check("ground_length", ground_length, positive=True)
-    _, n, lc, m1, m2, d = _arguments(0.0, cars, car_length, m1, m2, d)
+    n, lc, m1, m2, d = arrays(
+        cars=cars, car_length=car_length, mu1=mu1, mu2=mu2, ground_length=ground_length
+    )
     length = n * lc
     d = np.minimum(d, length)
     if _form(form) == "published":
@@ -232,7 +233,7 @@ def bar_case_2(
     car_length: ArrayLike = CAR_LENGTH,
     ground_length: ArrayLike = GROUND_LENGTH,
     form: Form = "published",
-) -> BarEstimate:
+) -> Estimate:
     r"""Case 2: what has gone further than ``d`` is lost (published figure: mu2 = 1, 64 km/h).
 
     As case 1 until ``x = d``, then ``a = ([v^2] - g (mu1 (l - x) + mu2 d)) / (l - x + d)``, the
@@ -261,7 +262,7 @@ def bar_case_3(
     rise_time: float = BRAKE_RISE,
     signal_speed: float = BRAKE_SIGNAL_SPEED,
     form: Form = "published",
-) -> BarEstimate:
+) -> Estimate:
     r"""Case 3: case 2 with brakes, ``mu1(t, v) = K_t(t) mu1 F(v) / F(0)`` [R].
 
     ``F(v)/F(0)`` is :func:`brake_friction`; ``mu1`` (0.1) is the effective friction of the braked
@@ -289,20 +290,9 @@ def bar_case_3(
     signal_speed : c, m/s; inf for all brakes at once
     form : "published" or "corrected"
     """
-    if not np.isfinite(rise_time) or rise_time < 0.0:
-        raise ValueError(f"rise_time: must be zero or positive and finite, not {rise_time:g}")
-    if not signal_speed > 0.0:
-        raise ValueError(f"signal_speed: must be positive, not {signal_speed:g}")
-    return _integrate(
-        speed,
-        cars,
-        mu1,
-        mu2,
-        car_length,
-        ground_length,
-        form,
-        brakes=(float(rise_time), float(signal_speed)),
-    )
+    check_brakes(rise_time, signal_speed)
+    brakes = (float(rise_time), float(signal_speed))
+    return _integrate(speed, cars, mu1, mu2, car_length, ground_length, form, brakes=brakes)
 
 
 def _ramp_integral(z: F64, rise: float) -> F64:
@@ -313,7 +303,7 @@ def _ramp_integral(z: F64, rise: float) -> F64:
     return np.where(z < rise, z * z / (2.0 * rise), z - 0.5 * rise)
 
 
-def _applied(t: float, x: F64, length: F64, rise: float, signal: float) -> F64:
+def applied_share(t: float, x: F64, length: F64, rise: float, signal: float) -> F64:
     """Share of the brake force applied, the mean over the part of the bar on the rails."""
     if np.isinf(signal):
         return np.full_like(x, min(t / rise, 1.0) if rise > 0.0 else 1.0)
@@ -335,25 +325,26 @@ def _integrate(
     brakes: tuple[float, float] | None = None,
     step: float = 0.01,
     time_limit: float = 3600.0,
-) -> BarEstimate:
+) -> Estimate:
     """Cases 2 and 3 in time: classical Runge-Kutta on all trains at once.
 
     The last step of each train is shortened to the moment when it stops or has gone over whole,
     found on the quadratic through the step's ends.
     """
     thrust = 1.0 if _form(form) == "published" else 0.0
-    m1, m2 = _check("mu1", mu1), _check("mu2", mu2)
-    ground = _check("ground_length", ground_length, positive=True)
-    v, n, lc, m1, m2, ground = _arguments(speed, cars, car_length, m1, m2, ground)
-    shape = v.shape
-    v, n, lc, m1, m2, ground = (np.atleast_1d(a).ravel() for a in (v, n, lc, m1, m2, ground))
+    given = arrays(
+        speed=speed, cars=cars, car_length=car_length, mu1=mu1, mu2=mu2,
+        ground_length=ground_length,
+    )  # fmt: skip
+    shape = given[0].shape
+    v, n, lc, m1, m2, ground = (a.ravel() for a in given)
     length = n * lc
 
     def acceleration(t: float, x: F64, v: F64, i: NDArray[np.intp]) -> F64:
         on_rails = np.maximum(length[i] - x, 0.0)
         k = m1[i]
         if brakes is not None:
-            k = k * _applied(t, x, length[i], *brakes) * brake_friction(v)
+            k = k * applied_share(t, x, length[i], *brakes) * brake_friction(v)
         lost = x > ground[i]
         on_ground = np.minimum(x, ground[i])
         friction = GRAVITY * (k * on_rails + m2[i] * on_ground)
@@ -398,10 +389,4 @@ def _integrate(
         t += h
     if live.size:
         raise ValueError(f"a train has not stopped after {time_limit:g} s: is there friction?")
-    return BarEstimate(
-        x.reshape(shape),
-        (x / lc).reshape(shape),
-        whole.reshape(shape),
-        duration.reshape(shape),
-        peak.reshape(shape),
-    )
+    return Estimate(*(a.reshape(shape) for a in (x, x / lc, whole, duration, peak)))

@@ -21,12 +21,18 @@ collisions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from derail_ros.baselines.bar import GRAVITY, _applied, _check
+from derail_ros.baselines.bar import (
+    BRAKE_RISE,
+    BRAKE_SIGNAL_SPEED,
+    Estimate,
+    applied_share,
+    arrays,
+    check_brakes,
+)
+from derail_ros.vocabulary.params import GRAVITY
 
 F64 = NDArray[np.float64]
 
@@ -39,37 +45,11 @@ CAR_MASS = 68e3
 BRAKE_FORCE = 35e3
 """Full brake force of a car, N."""
 
-BRAKE_RISE = 10.0
-"""Rise of the brake force, s."""
-
-SIGNAL_SPEED = 290.0
-"""Speed of the emergency signal, m/s."""
-
 BLOCKAGE_REST = 1.32
 """Blockage force at rest as a multiple of a car's weight, ``b_0``."""
 
 BLOCKAGE_SLOPE = 0.109
 """Its growth with speed, ``b_1``, s/m."""
-
-
-@dataclass(frozen=True)
-class BlockageEstimate:
-    """Answer of the blockage model; every field has the broadcast shape of the arguments.
-
-    Attributes
-    ----------
-    cars_derailed : n when the train stops, not rounded, at most N; 0 if it stops short
-    whole_train : all cars were lost before it could stop
-    distance : run from the first derailment to the stop, m
-    duration : time to the stop from the start (the braking before the first derailment counts), s
-    peak_speed : largest speed on the way, m/s: that at the start, for nothing drives the train
-    """
-
-    cars_derailed: F64
-    whole_train: NDArray[np.bool_]
-    distance: F64
-    duration: F64
-    peak_speed: F64
 
 
 def blockage(
@@ -83,11 +63,14 @@ def blockage(
     slope: ArrayLike = BLOCKAGE_SLOPE,
     run_up: ArrayLike = 0.0,
     rise_time: float = BRAKE_RISE,
-    signal_speed: float = SIGNAL_SPEED,
+    signal_speed: float = BRAKE_SIGNAL_SPEED,
     step: float = 0.02,
     time_limit: float = 3600.0,
-) -> BlockageEstimate:
+) -> Estimate:
     """Cars derailed, all trains at once; arguments are scalars or arrays that broadcast.
+
+    The count is 0 if the train stops short of the point; the braking before it counts in the
+    duration.
 
     Parameters
     ----------
@@ -106,22 +89,13 @@ def blockage(
     ValueError
         An argument is out of its range, or a train has not stopped after ``time_limit``.
     """
-    if not np.isfinite(rise_time) or rise_time < 0.0:
-        raise ValueError(f"rise_time: must be zero or positive and finite, not {rise_time:g}")
-    if not signal_speed > 0.0:
-        raise ValueError(f"signal_speed: must be positive, not {signal_speed:g}")
-    arrays = np.broadcast_arrays(
-        _check("speed", speed),
-        _check("cars", cars, positive=True),
-        _check("mass", mass, positive=True),
-        _check("car_length", car_length, positive=True),
-        _check("brake_force", brake_force),
-        _check("rest", rest),
-        _check("slope", slope),
-        _check("run_up", run_up),
-    )
-    shape = arrays[0].shape
-    v, n, m, lc, f_b, b0, b1, ahead = (np.array(a, dtype=float).ravel() for a in arrays)
+    check_brakes(rise_time, signal_speed)
+    given = arrays(
+        speed=speed, cars=cars, mass=mass, car_length=car_length, brake_force=brake_force,
+        rest=rest, slope=slope, run_up=run_up,
+    )  # fmt: skip
+    shape, start = given[0].shape, given[0].ravel()
+    v, n, m, lc, f_b, b0, b1, ahead = (a.flatten() for a in given)
     length = n * lc
     x = -ahead  # of the first car beyond the point
     duration = np.zeros_like(v)
@@ -131,7 +105,7 @@ def blockage(
     def acceleration(t: float, x: F64, v: F64, i: NDArray[np.intp]) -> F64:
         # what has gone over; the first car goes at once
         gone = np.where(x >= 0.0, np.minimum(lc[i] + x, length[i]), 0.0)
-        share = _applied(t, gone, length[i], rise_time, signal_speed)
+        share = applied_share(t, gone, length[i], rise_time, signal_speed)
         brakes = share * f_b[i] / m[i]
         on_rails = np.maximum(n[i] - gone / lc[i], 1e-9)
         push = np.where(gone > 0.0, (b0[i] + b1[i] * v) * GRAVITY / on_rails, 0.0)
@@ -166,12 +140,7 @@ def blockage(
         t += h
     if live.size:
         raise ValueError(f"a train has not stopped after {time_limit:g} s: is there friction?")
-    started = (x >= 0.0) & (np.ravel(arrays[0]) > 0.0)
+    started = (x >= 0.0) & (start > 0.0)
     count = np.where(started, np.minimum(1.0 + x / lc, n), 0.0)
-    return BlockageEstimate(
-        count.reshape(shape),
-        whole.reshape(shape),
-        np.maximum(x, 0.0).reshape(shape),
-        duration.reshape(shape),
-        peak.reshape(shape),
-    )
+    found = (np.maximum(x, 0.0), count, whole, duration, peak)
+    return Estimate(*(a.reshape(shape) for a in found))

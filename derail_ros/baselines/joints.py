@@ -32,9 +32,6 @@ from derail_ros.vocabulary.params import TrainParams
 
 F64 = NDArray[np.float64]
 
-JOHNSON_MASS = 450e3
-"""Mass of Johnson's train, kg."""
-
 
 @dataclass(frozen=True)
 class JointVelocities:

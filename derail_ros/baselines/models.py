@@ -392,7 +392,7 @@ def _blockage(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, 
     return _one_dimensional(params, train, answer)
 
 
-def _bar(case: Callable[..., bar.BarEstimate], **form: Any) -> Callable[..., Any]:
+def _bar(case: Callable[..., bar.Estimate], **form: Any) -> Callable[..., Any]:
     def run(params: TrainParams, _: Request) -> tuple[Record, None, dict[str, Any]]:
         train = derailing_train(params)
         length = train.mean_length()

@@ -77,13 +77,13 @@ class Train:
         return float(np.mean(self.masses()))
 
 
-def centres(params: TrainParams) -> F64:
-    """(N,) arc length of each mass centre behind that of car 1, couplers stretched, m."""
-    places = [0.0]
-    for ahead, car in zip(params.cars[:-1], params.cars[1:], strict=True):
-        reach = ahead.pivot_distance + ahead.rear.length + car.front.length + car.pivot_distance
-        places.append(places[-1] + reach)
-    return np.array(places)
+def centres(cars: Sequence[Car]) -> F64:
+    """(N,) arc length of each mass centre behind that of the first, couplers stretched, m."""
+    reach = [
+        a.pivot_distance + a.rear.length + b.front.length + b.pivot_distance
+        for a, b in zip(cars[:-1], cars[1:], strict=True)
+    ]
+    return np.cumsum([0.0, *reach])
 
 
 def take_apart(cars: Sequence[Car]) -> tuple[Car, ...]:
@@ -125,9 +125,8 @@ def derailing_train(params: TrainParams) -> Train:
         Nothing derails.
     """
     start = params.initiation
-    fronts = (
-        start.position - centres(params) + np.array([car.truck_distance for car in params.cars])
-    )
+    trucks = np.array([car.truck_distance for car in params.cars])
+    fronts = start.position - centres(params.cars) + trucks
     derailed = sorted({number - 1 for number, _ in start.derailed_trucks})
     meets = []
     for place in params.track.rail_breaks:
@@ -203,15 +202,8 @@ def brakes_of(params: TrainParams, train: Train) -> Brakes:
     """
     law = params.brakes
     cars = train.cars
-    place = np.cumsum(
-        [0.0]
-        + [
-            a.pivot_distance + a.rear.length + b.front.length + b.pivot_distance
-            for a, b in zip(cars[:-1], cars[1:], strict=True)
-        ]
-    )
-    whole = centres(params)
-    place += whole[train.first]
+    whole = centres(params.cars)
+    place = whole[train.first] + centres(cars)
     triggers = law.triggers
     if not triggers and law.vent_on_parting:
         t = train.run_up / train.speed if train.speed > 0.0 else math.inf

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from derail_ros.baselines.train import ModelError, derailing_train, is_straight
 from derail_ros.vocabulary.params import (
+    BrakeTrigger,
     CouplerType,
     DerailmentParams,
     GroundParams,
@@ -102,8 +103,6 @@ def configure(params: TrainParams, own: YangManosParams | None = None) -> TrainP
         moved.append(trigger)
     if not moved and brakes.vent_on_parting:
         # no coupling parts: the pipe is taken to open where the train derails, when it does
-        from derail_ros.vocabulary.params import BrakeTrigger
-
         time = train.run_up / train.speed if train.speed > 0.0 else 0.0
         moved = [BrakeTrigger(time=time, source="front")]
     forces = tuple(

@@ -41,10 +41,10 @@ def run(
 ) -> int:
     """Run a scenario with one of the models; the exit code."""
     from derail_ros.baselines.models import MODELS, ModelError, run_job, run_model
+    from derail_ros.commands.simulate import exit_code, report_of
     from derail_ros.studies.ensemble import Job, gather
-    from derail_ros.studies.records import Ensemble
     from derail_ros.vocabulary.errors import ParameterError, SimulationError
-    from derail_ros.vocabulary.measures import SCHEMA, SCHEMA_VERSION, failed_record
+    from derail_ros.vocabulary.measures import failed_record
 
     model = known_model(model)
     if roll and not MODELS[model].rolls:
@@ -87,35 +87,15 @@ def run(
         records.append(
             failed_record(result.error or "", result.wall_s) if failed else result.value.record
         )
-    found = Ensemble(tuple(records))
-    report: Record = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "scenario": scenario.name,
-        "title": scenario.title,
-        "hash": scenario.hash,
-        "seed": seed if ensemble is not None else None,
-        "members": members,
-        "void": found.void,
-        "failed": found.failed,
-        "outcomes": list(found.records),
-        "mean": found.mean(),
-        "sd": found.sd(),
-        "model": model,
-        "notes": {} if first is None else first.notes,
-        "warnings": [],
-    }
+    report = report_of(scenario, model, None if ensemble is None else seed, records)
+    report["notes"] = {} if first is None else first.notes
     if output is not None:
         _write(output, scenario, settings, report, first)
     if as_json:
         common.print_json(report)
     else:
         _print(report, output)
-    for i, record in enumerate(found.records):
-        if "error" in record:
-            note(f"derail: member {i} failed: {record['error']}")
-            break
-    return FAILED if found.failed == members else OK
+    return exit_code(report)
 
 
 def _write(
@@ -125,12 +105,9 @@ def _write(
     report: Record,
     first: ModelRun | None,
 ) -> None:
-    from derail_ros.commands.simulate import write_csv
-    from derail_ros.recording.manifest import software_versions
+    from derail_ros.commands.simulate import write_manifest, write_outcomes
 
-    common.write_json(output / "outcomes.json", report)
-    if report["members"] > 1:
-        write_csv(output / "outcomes.csv", report["outcomes"])
+    write_outcomes(output, report)
     if first is not None and first.scene is not None:
         from derail_ros.review import drawing, figures
 
@@ -138,23 +115,7 @@ def _write(
             first.scene, title=scenario.title, subtitle=f"model: {report['model']}"
         )
         drawing.save(figures.final_scene(scene), output / "final_scene.png")
-    common.write_json(
-        output / "manifest.json",
-        {
-            "format": "derail_ros/results",
-            "version": 1,
-            "command": "simulate",
-            "model": report["model"],
-            "scenario": scenario.resolved(),
-            "scenario_name": scenario.name,
-            "scenario_hash": scenario.hash,
-            "settings": list(settings),
-            "ensemble": report["members"],
-            "seed": report["seed"],
-            "software": software_versions(),
-            "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
-        },
-    )
+    write_manifest(output, scenario, settings, report, model=report["model"], seed=report["seed"])
 
 
 def _print(report: Record, output: Path | None) -> None:

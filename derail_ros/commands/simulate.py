@@ -86,39 +86,52 @@ def run(
                     bars.update(task, advance=1)
     outcomes = [r for r in records if r is not None]
     warnings = [w for w in (late_break(params, outcomes[0]),) if w is not None]
-    found = Ensemble(tuple(outcomes))
-
-    report = {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "scenario": scenario.name,
-        "title": scenario.title,
-        "hash": scenario.hash,
-        "seed": seed if ensemble is not None else None,
-        "members": members,
-        "void": found.void,
-        "failed": found.failed,
-        "outcomes": outcomes,
-        "mean": found.mean(),
-        "sd": found.sd(),
-        "model": params.model,
-        "notes": {},
-        "warnings": warnings,
-    }
+    report = report_of(scenario, params.model, None if ensemble is None else seed, outcomes)
+    report["warnings"] = warnings
     if output is not None:
-        _write(output, scenario, settings, seed, report, simulation)
+        write_outcomes(output, report)
+        if "error" not in outcomes[0]:
+            write_figures(output, scenario.title, simulation)
+        write_manifest(
+            output, scenario, settings, report, seed=seed, variation=VARIATION, commands=[]
+        )
     if as_json:
         common.print_json(report)
     else:
         _print(report, output, verbose)
     for warning in warnings:
         note(f"derail: warning: {warning}")
-    if found.failed:
-        for i, record in enumerate(outcomes):
-            if "error" in record:
-                note(f"derail: member {i} failed: {record['error']}")
-                break
-    return FAILED if found.failed == members else OK
+    return exit_code(report)
+
+
+def report_of(scenario: Scenario, model: str, seed: int | None, outcomes: list[Record]) -> Record:
+    """What ``--json`` prints of a run (without a seed) or of an ensemble."""
+    found = Ensemble(tuple(outcomes))
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "seed": seed,
+        "members": len(outcomes),
+        "void": found.void,
+        "failed": found.failed,
+        "outcomes": outcomes,
+        "mean": found.mean(),
+        "sd": found.sd(),
+        "model": model,
+        "notes": {},
+        "warnings": [],
+    }
+
+
+def exit_code(report: Record) -> int:
+    """The exit code; the first failure is printed."""
+    failures = [(i, r["error"]) for i, r in enumerate(report["outcomes"]) if "error" in r]
+    for i, error in failures[:1]:
+        note(f"derail: member {i} failed: {error}")
+    return FAILED if len(failures) == report["members"] else OK
 
 
 def late_break(params: TrainParams, record: Record) -> str | None:
@@ -196,40 +209,32 @@ def _record_run(simulation: Simulation, scenario: Scenario, path: Path, progress
 # Files -------------------------------------------------------------------------------------
 
 
-def _write(
-    output: Path,
-    scenario: Scenario,
-    settings: Sequence[str],
-    seed: int,
-    report: Record,
-    simulation: Simulation,
-) -> None:
-    """Figures, outcomes and manifest."""
-    from derail_ros.recording.manifest import software_versions
-
+def write_outcomes(output: Path, report: Record) -> None:
+    """The report, and the outcomes of an ensemble as a table."""
     common.write_json(output / "outcomes.json", report)
     if report["members"] > 1:
         write_csv(output / "outcomes.csv", report["outcomes"])
-    if "error" not in report["outcomes"][0]:
-        write_figures(output, scenario.title, simulation)
-    common.write_json(
-        output / "manifest.json",
-        {
-            "format": "derail_ros/results",
-            "version": 1,
-            "command": "simulate",
-            "scenario": scenario.resolved(),
-            "scenario_name": scenario.name,
-            "scenario_hash": scenario.hash,
-            "settings": list(settings),
-            "ensemble": report["members"],
-            "seed": report["seed"],
-            "variation": VARIATION,
-            "commands": [],
-            "software": software_versions(),
-            "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
-        },
-    )
+
+
+def write_manifest(
+    output: Path, scenario: Scenario, settings: Sequence[str], report: Record, **more: Any
+) -> None:
+    """What the results are of; written last: it lists the files."""
+    from derail_ros.recording.manifest import software_versions
+
+    manifest = {
+        "format": "derail_ros/results",
+        "version": 1,
+        "command": "simulate",
+        "scenario": scenario.resolved(),
+        "scenario_name": scenario.name,
+        "scenario_hash": scenario.hash,
+        "settings": list(settings),
+        "ensemble": report["members"],
+        "software": software_versions(),
+        "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
+    }
+    common.write_json(output / "manifest.json", manifest | more)
 
 
 def write_figures(output: Path, title: str, simulation: Simulation) -> None:

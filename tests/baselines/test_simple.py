@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
-from derail_ros.baselines.bar import GRAVITY, bar_case_2, bar_case_3, limiting_speed
+from derail_ros.baselines.bar import bar_case_2, bar_case_3, limiting_speed
 from derail_ros.baselines.blockage import blockage
 from derail_ros.baselines.joints import joint_velocities
 from derail_ros.baselines.models import MODELS, run_model
@@ -16,6 +16,7 @@ from derail_ros.baselines.roorda_gracie import _chain, least_work, roorda_gracie
 from derail_ros.baselines.train import ModelError, brakes_of, derailing_train, take_apart
 from derail_ros.scenario import load_scenario
 from derail_ros.vocabulary.measures import MEASURES
+from derail_ros.vocabulary.params import GRAVITY
 
 SPEEDS = (30.0, 48.0, 60.0, 72.0, 90.0)
 PUBLISHED = (5.0, 10.0, 14.0, 18.0, 24.0)
