@@ -298,14 +298,9 @@ def _scene(
 ) -> Scene:
     from derail_ros.review.scene import make_scene
 
-    scene = make_scene(cars, pose, truck_on, coupled, **more)
-    return dataclasses.replace(
-        scene,
-        scene_length=outcome.scene_length,
-        scene_width=outcome.scene_width,
-        scene_area=outcome.scene_area,
-        numbers=numbers or scene.numbers,
-    )
+    scene = make_scene(cars, pose, truck_on, coupled, outcome=outcome, **more)
+    unknown = np.full(len(cars), np.nan)
+    return dataclasses.replace(scene, peak_force=unknown, numbers=numbers or scene.numbers)
 
 
 # Without forces -------------------------------------------------------------------------------
