@@ -170,13 +170,13 @@ def test_statements_of_case_3_belong_to_the_published_form():
 
 
 def test_case_3_brake_share_is_the_mean_over_the_train():
-    from derail_ros.baselines.bar import _applied
+    from derail_ros.baselines.bar import applied_share
 
     t, x, length = 8.0, 200.0, 1500.0
     mean = quad(
         lambda p: min(max((t - p / 290.0) / 10.0, 0.0), 1.0), x, length, points=[580.0, 1200.0]
     )[0] / (length - x)
-    value = _applied(t, np.array([x]), np.array([length]), 10.0, 290.0)
+    value = applied_share(t, np.array([x]), np.array([length]), 10.0, 290.0)
     assert float(value[0]) == pytest.approx(mean, rel=1e-6)
 
 
