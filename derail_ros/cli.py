@@ -1,6 +1,6 @@
 """The command line, ``derail``.
 
-Only options are declared here; what a command does is in ``derail_ros.commands`` and imported
+Only options are declared here. What a command does is in ``derail_ros.commands`` and imported
 when it runs, so that ``derail --help`` does not wait for numpy, numba or matplotlib.
 
 Exit codes: 0 done, 2 bad input, 3 the simulation failed, 130 interrupted.
@@ -8,6 +8,7 @@ Exit codes: 0 done, 2 bad input, 3 the simulation failed, 130 interrupted.
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
@@ -27,12 +28,52 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+# Options that several commands have ----------------------------------------------------------
+
+
+def _set(what: str = "a value, e.g. train.speed_kmh=60") -> Any:
+    return typer.Option("--set", metavar="PATH=VALUE", help=f"Change {what}.")
+
+
+def _runs(what: str, least: int = 2) -> Any:
+    return typer.Option("--ensemble", "-n", min=least, help=what)
+
+
+def _output(what: str, kind: str = "DIR") -> Any:
+    return typer.Option("-o", "--output", metavar=kind, help=what)
+
+
+def _model(what: str) -> Any:
+    return typer.Option("--model", "-m", help=what)
+
+
+Texts = list[str] | None
+ScenarioName = Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")]
+ScenarioNames = Annotated[
+    Texts, typer.Argument(help="Scenarios; Mississauga and the base train by default.")
+]
+Settings = Annotated[Texts, _set()]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 Jobs = Annotated[
-    int | None,
-    typer.Option("--jobs", "-j", min=1, help="Runs at a time; one per core by default."),
+    int | None, typer.Option("--jobs", "-j", min=1, help="Parallel runs; one per core by default.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the ensemble's variation.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random variation.")]
+Bag = Annotated[str, typer.Argument(help="A recording: its folder, or a file of it.")]
+WhichRun = Annotated[
+    str | None,
+    typer.Option("--run", help="Number of a run, or the first letters of its id; default: last."),
+]
+Namespace = Annotated[
+    str | None, typer.Option("--namespace", help="Namespace of the topics, if there are several.")
+]
+NewDir = Annotated[Path, _output("New or empty folder for the results.")]
+Results = Annotated[Path, typer.Argument(help="Folder with the results of a study.")]
+
+
+def _call(module: str, *arguments: Any, function: str = "run") -> int:
+    """Run a command; its module is imported only now."""
+    code = getattr(importlib.import_module(f"derail_ros.commands.{module}"), function)(*arguments)
+    return int(code)
 
 
 def _version(asked: bool) -> None:
@@ -53,82 +94,63 @@ def root(
     """Simulate train derailments."""
 
 
+# Runs ----------------------------------------------------------------------------------------
+
+
 @app.command()
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Change a value, e.g. train.speed_kmh=60."
-        ),
-    ] = None,
+    scenario: ScenarioName,
+    settings: Settings = None,
     ensemble: Annotated[
-        int | None,
-        typer.Option(
-            "--ensemble",
-            "-n",
-            min=1,
-            help="Runs with the lateral force varied by up to 4 %; the first is the scenario.",
-        ),
+        int | None, _runs("Runs; all but the first vary the lateral force by up to 4 %.", 1)
     ] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
     as_json: Json = False,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Write a recording (rosbag2), figures, outcomes and a manifest.",
-        ),
+        Path | None, _output("Write a recording, figures, outcomes and a manifest there.")
     ] = None,
     model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            "-m",
-            help="planar (the default), or an earlier model: yang-manos, anderson, "
-            "roorda-gracie, blockage, bar-1, bar-2 or bar-3 (also bar-2-corrected, "
-            "bar-3-corrected); docs/baselines.md.",
-        ),
+        str | None, _model("Name of a model, see `derail models`; default: planar.")
     ] = None,
     roll: Annotated[
-        bool,
-        typer.Option("--roll", help="Estimate how far free cars roll (planar and anderson)."),
+        bool, typer.Option("--roll", help="Estimate how far uncoupled cars roll over.")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Show the quality of the computation too.")
+        bool, typer.Option("--verbose", "-v", help="Show the numerical quality too.")
     ] = False,
 ) -> int:
-    """Run a scenario to rest, without a ROS graph, and report what came of it.
-
-    The earlier models write no recording.
-    """
+    """Run a scenario until the train is at rest, and show the outcome. Needs no ROS."""
     from derail_ros.models import names
     from derail_ros.vocabulary.params import PLANAR
 
     if model == "toma":  # its name before 0.2
         model = PLANAR
+    given = settings or []
     if roll or (model is not None and model not in names()):
-        from derail_ros.commands import models as other
-
-        return other.run(
-            model or PLANAR, scenario, settings or [], ensemble, seed, jobs, roll, as_json, output
+        name = model or PLANAR
+        return _call(
+            "models", name, scenario, given, ensemble, seed, jobs, roll, as_json, output, verbose
         )
-    from derail_ros.commands import simulate as command
-
     chosen = [] if model is None else [f"model={model}"]
-    given = [*chosen, *(settings or [])]
-    return command.run(scenario, given, ensemble, seed, jobs, as_json, output, verbose)
+    return _call(
+        "simulate", scenario, chosen + given, ensemble, seed, jobs, as_json, output, verbose
+    )
 
 
 @app.command()
 def scenarios(as_json: Json = False) -> int:
     """List the scenarios."""
-    from derail_ros.commands import scenarios as command
+    return _call("lists", as_json, function="scenarios")
 
-    return command.run(as_json)
+
+@app.command()
+def models(as_json: Json = False) -> int:
+    """List the models: the engines, and the earlier models."""
+    return _call("lists", as_json, function="models")
+
+
+# Earlier models ------------------------------------------------------------------------------
 
 
 @app.command()
@@ -137,7 +159,7 @@ def estimate(
     form: Annotated[
         str | None, typer.Option(help="published or corrected (bar-2 and bar-3).")
     ] = None,
-    speed_kmh: Annotated[float | None, typer.Option(help="Speed of the train.")] = None,
+    speed_kmh: Annotated[float | None, typer.Option(help="Speed of the train, km/h.")] = None,
     mu1: Annotated[
         float | None, typer.Option(help="Friction on the rails; bar-3: of the braked train.")
     ] = None,
@@ -148,79 +170,57 @@ def estimate(
     car_length: Annotated[float, typer.Option(help="Length of a car, m.")] = 15.0,
     as_json: Json = False,
 ) -> int:
-    """Estimate the cars derailed: the train as a bar that slides onto the ground.
+    """Estimate the cars derailed: the train is a bar that slides onto the ground.
 
-    Without options: the parameters of the published figures.
+    The defaults are the parameters of the published figures.
     """
-    from derail_ros.commands import estimate as command
-
-    return command.run(name, form, speed_kmh, mu1, mu2, cars, car_length, as_json)
+    return _call("estimate", name, form, speed_kmh, mu1, mu2, cars, car_length, as_json)
 
 
 @app.command("compare-models")
 def compare_models(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
-    ] = None,
-    models: Annotated[
-        list[str] | None, typer.Option("--model", "-m", help="Only these; all by default.")
-    ] = None,
+    scenario: ScenarioName,
+    settings: Settings = None,
+    models: Annotated[Texts, _model("Run only this model (repeat for more).")] = None,
     speeds: Annotated[
-        str | None, typer.Option(help="At these speeds, km/h, e.g. 30,48,60,72,90.")
+        str | None, typer.Option(help="Run at these speeds, km/h, e.g. 30,48,60,72,90.")
     ] = None,
     as_json: Json = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write the table and a figure."),
-    ] = None,
+    output: Annotated[Path | None, _output("Write the table and a figure there.")] = None,
 ) -> int:
     """Run this model and the earlier ones on one train."""
-    from derail_ros.commands import models as command
-
-    return command.compare_models(scenario, settings or [], models or [], speeds, as_json, output)
+    given = (scenario, settings or [], models or [], speeds, as_json, output)
+    return _call("models", *given, function="compare_models")
 
 
 @app.command()
 def accidents(
     reports: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Files of accident reports (CSV, FRA form 54); the shipped averages without."
-        ),
+        typer.Argument(help="Accident reports (CSV, FRA form 54); default: shipped averages."),
     ] = None,
     broken_rail: Annotated[
         bool, typer.Option("--broken-rail", help="Only reports whose cause is a broken rail.")
     ] = False,
     causes: Annotated[
-        list[str] | None, typer.Option("--cause", help="Only this code of a cause, e.g. T207.")
+        Texts, typer.Option("--cause", help="Only this cause code, e.g. T207.")
     ] = None,
     behind: Annotated[
-        int, typer.Option(min=1, help="Only with so many cars from the first one involved on.")
+        int, typer.Option(min=1, help="Only trains with this many cars behind the first derailed.")
     ] = 1,
     loaded: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Only with this share of the cars loaded.")
+        float, typer.Option(min=0.0, max=1.0, help="Only trains with this share of loaded cars.")
     ] = 0.0,
     models: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--model",
-            "-m",
-            help="Run the trains of the reports with it; without files their mean trains.",
-        ),
+        Texts, _model("Run this model on the trains (without files: on their mean trains).")
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Change the base train, e.g. brakes.delay_s=10."
-        ),
-    ] = None,
+    settings: Annotated[Texts, _set("the base train, e.g. brakes.delay_s=10")] = None,
     report: Annotated[
         str | None,
         typer.Option(metavar="NUMBER", help="Print the train of this report as a scenario."),
     ] = None,
     most: Annotated[
-        int, typer.Option(min=1, help="Trains run of each class of speed, at most.")
+        int, typer.Option(min=1, help="Most trains to run in a class of speed.")
     ] = 100,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the choice of trains.")] = 0,
     jobs: Jobs = None,
@@ -241,155 +241,106 @@ def accidents(
 @app.command("joint-velocities")
 def joint_velocities(
     scenario: Annotated[
-        str | None, typer.Argument(help="A scenario's train; equal bars without.")
+        str | None, typer.Argument(help="Scenario whose train is struck; default: equal bars.")
     ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change a value.")
-    ] = None,
+    settings: Settings = None,
     cars: Annotated[int, typer.Option(help="Number of equal bars.")] = 6,
     train_mass: Annotated[
-        float, typer.Option(help="Mass of all equal bars, kg; Johnson's train by default.")
+        float, typer.Option(help="Mass of all equal bars, kg; default: Johnson's train.")
     ] = 450e3,
     length: Annotated[float, typer.Option(help="Length of an equal bar, m.")] = 15.0,
     impulse: Annotated[float, typer.Option(help="Transverse impulse on the head, N s.")] = 1000.0,
     as_json: Json = False,
 ) -> int:
-    """Joint velocities of a train at rest after a blow across its head (Johnson, Guran)."""
-    from derail_ros.commands import models as command
-
-    return command.joint_velocities(
-        scenario, settings or [], cars, train_mass, length, impulse, as_json
-    )
+    """Compute the joint velocities of a standing train after a blow on its head."""
+    given = (scenario, settings or [], cars, train_mass, length, impulse, as_json)
+    return _call("models", *given, function="joint_velocities")
 
 
-@app.command()
-def validate(
-    members: Annotated[int, typer.Option("--ensemble", "-n", min=2, help="Runs a case.")] = 20,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="Change a value in all cases."),
-    ] = None,
-    as_json: Json = False,
-) -> int:
-    """Compare ensembles with the published runs."""
-    from derail_ros.commands import validate as command
-
-    return command.run(members, seed, jobs, settings or [], as_json)
-
-
-Bag = Annotated[str, typer.Argument(help="A recording: its folder, or a file of it.")]
-RunOption = Annotated[
-    str | None,
-    typer.Option(
-        "--run", help="Which run of several: number, or beginning of its identity; default: last."
-    ),
-]
-Namespace = Annotated[
-    str | None, typer.Option("--namespace", help="Of the topics, where several were recorded.")
-]
+# Recordings ----------------------------------------------------------------------------------
 
 
 @app.command()
 def review(
     bag: Bag,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Empty folder.")],
-    run: RunOption = None,
+    output: NewDir,
+    run: WhichRun = None,
     namespace: Namespace = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     replay: Annotated[bool, typer.Option(help="Write the replay page.")] = True,
     as_json: Json = False,
 ) -> int:
-    """Tell what happened in a recording: summary, figures and a replay page."""
-    from derail_ros.commands import review as command
-
-    return command.run(bag, output, run, namespace, figures, replay, as_json)
+    """Summarize a recording: text, JSON, figures and a replay page."""
+    return _call("review", bag, output, run, namespace, figures, replay, as_json)
 
 
 @app.command()
 def export(
     bag: Bag,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Empty folder.")],
+    output: NewDir,
     form: Annotated[str, typer.Option("--format", help="csv or parquet.")] = "csv",
-    run: RunOption = None,
+    run: WhichRun = None,
     namespace: Namespace = None,
 ) -> int:
-    """Write the histories of the cars in a recording as tables, with units."""
-    from derail_ros.commands import export as command
-
-    return command.run(bag, output, form, run, namespace)
+    """Write the histories of the cars in a recording as tables."""
+    return _call("export", bag, output, form, run, namespace)
 
 
 @app.command()
 def compare(
     first: Bag,
     second: Bag,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write the scenes and JSON there."),
-    ] = None,
+    output: Annotated[Path | None, _output("Write text, JSON and both scenes there.")] = None,
     as_json: Json = False,
 ) -> int:
     """Compare two recordings: measures, scenes and events."""
-    from derail_ros.commands import compare as command
-
-    return command.run(first, second, output, as_json)
+    return _call("compare", first, second, output, as_json)
 
 
 @app.command()
 def animate(
     bag: Bag,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="A name in .mp4 or .gif.")
-    ],
-    run: RunOption = None,
+    output: Annotated[Path, _output("Film to write; its name ends in .mp4 or .gif.", "FILE")],
+    run: WhichRun = None,
     namespace: Namespace = None,
     fps: Annotated[
-        int | None, typer.Option(min=1, max=60, help="Pictures a second [20; GIF 8].")
+        int | None, typer.Option(min=1, max=60, help="Pictures per second [20; GIF: 8].")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="Recorded time per time of the film [1; GIF 2].")
+        float | None, typer.Option(help="Recorded time per time of the film [1; GIF: 2].")
     ] = None,
     width: Annotated[
-        int | None, typer.Option(min=320, max=3840, help="Pixels [960; GIF 640].")
+        int | None, typer.Option(min=320, max=3840, help="Width, pixels [960; GIF: 640].")
     ] = None,
-    start: Annotated[float | None, typer.Option(help="From this time on, s.")] = None,
-    end: Annotated[float | None, typer.Option(help="Up to this time, s.")] = None,
+    start: Annotated[float | None, typer.Option(help="Begin at this time, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="End at this time, s.")] = None,
 ) -> int:
     """Make a film of a recording, seen from above."""
-    from derail_ros.commands import animate as command
-
-    return command.run(bag, output, run, namespace, fps, rate, width, start, end)
+    return _call("animate", bag, output, run, namespace, fps, rate, width, start, end)
 
 
 @app.command()
 def play(
     bag: Bag,
     rate: Annotated[float, typer.Option(help="Recorded time per wall time.")] = 1.0,
-    start: Annotated[float, typer.Option(help="Begin so long after the beginning, s.")] = 0.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    paused: Annotated[bool, typer.Option("--paused", help="Wait for resume.")] = False,
+    start: Annotated[float, typer.Option(help="Begin this long after the beginning, s.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Wait for the service resume.")] = False,
     clock: Annotated[bool, typer.Option(help="Publish /clock.")] = True,
 ) -> int:
-    """Publish a recording on a ROS 2 graph: the node player."""
-    from derail_ros.commands import play as command
-
-    return command.run(bag, rate, start, loop, paused, clock)
+    """Publish a recording on a ROS 2 graph, with the node player."""
+    return _call("play", bag, rate, start, loop, paused, clock)
 
 
 @app.command()
 def repair(
     bag: Bag,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="New folder; default: BAG_repaired."),
+        Path | None, _output("New folder for the repaired recording; default: BAG_repaired.")
     ] = None,
 ) -> int:
-    """Make a recording whole whose recorder was killed: a new one, with index and metadata."""
-    from derail_ros.commands import repair as command
-
-    return command.run(bag, output)
+    """Write a whole recording from one whose recorder was killed."""
+    return _call("repair", bag, output)
 
 
 @app.command()
@@ -399,35 +350,69 @@ def replay(
     ],
     as_json: Json = False,
 ) -> int:
-    """Compute recorded runs again, with their commands, and compare to the bit.
+    """Compute recorded runs again, with their commands, and compare them to the bit.
 
-    Exit code 3 if anything differs.
+    The exit code is 3 if anything differs.
     """
-    from derail_ros.commands import replay as command
+    return _call("replay", bag, as_json)
 
-    return command.run(bag, as_json)
+
+# Studies -------------------------------------------------------------------------------------
+
+
+@app.command()
+def validate(
+    members: Annotated[int, _runs("Runs per case.")] = 20,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    settings: Annotated[Texts, _set("a value in all cases")] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare ensembles with the published runs."""
+    return _call("validate", members, seed, jobs, settings or [], as_json)
 
 
 @app.command()
 def sensitivity(
-    members: Annotated[
-        int, typer.Option("--ensemble", "-n", min=2, help="Runs a case and change.")
-    ] = 20,
+    members: Annotated[int, _runs("Runs per case and change.")] = 20,
     seed: Seed = 0,
     jobs: Jobs = None,
     cases: Annotated[
-        list[str] | None,
-        typer.Option("--case", help="A published case, or all; five of them by default."),
+        Texts, typer.Option("--case", help="A published case, or all; default: five of them.")
     ] = None,
-    constants: Annotated[
-        list[str] | None, typer.Option("--only", help="A constant; all by default.")
-    ] = None,
+    constants: Annotated[Texts, typer.Option("--only", help="Vary only this constant.")] = None,
     as_json: Json = False,
 ) -> int:
     """Vary each reconstructed constant and form about its default."""
-    from derail_ros.commands import sensitivity as command
+    return _call("sensitivity", members, seed, jobs, cases or [], constants or [], as_json)
 
-    return command.run(members, seed, jobs, cases or [], constants or [], as_json)
+
+@app.command()
+def spread(
+    names: ScenarioNames = None,
+    settings: Annotated[Texts, _set("a value in all of them")] = None,
+    members: Annotated[int, _runs("Runs per scenario.")] = 200,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> int:
+    """Show the distributions of outcomes over many runs of a scenario."""
+    return _call("spread", names or [], settings or [], members, seed, jobs, as_json)
+
+
+@app.command()
+def convergence(
+    names: ScenarioNames = None,
+    members: Annotated[int, _runs("Runs per tolerance.", 3)] = 40,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    tolerances: Annotated[
+        list[float] | None, typer.Option("--rtol", help="A tolerance; default: 1e-2 to 1e-7.")
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare ensembles at several tolerances with the tightest."""
+    return _call("convergence", names or [], members, seed, jobs, tolerances or [], as_json)
 
 
 class _StudyGroup(typer.core.TyperGroup):
@@ -453,118 +438,56 @@ def study_run(
     name: Annotated[
         str, typer.Argument(metavar="STUDY", help="Name of a shipped study, or a YAML file.")
     ],
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="Change a value of the base scenario."),
-    ] = None,
-    ensemble: Annotated[
-        int | None, typer.Option("--ensemble", "-n", min=1, help="Runs a point.")
-    ] = None,
+    settings: Annotated[Texts, _set("a value of the base scenario")] = None,
+    ensemble: Annotated[int | None, _runs("Runs per point.", 1)] = None,
     points: Annotated[
         int | None, typer.Option(min=2, help="Points of a sampled design; N of sobol.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the study.")] = None,
     jobs: Jobs = None,
     dask: Annotated[
-        str | None, typer.Option(metavar="tcp://...", help="Run it on this Dask cluster.")
+        str | None, typer.Option(metavar="tcp://...", help="Run on this Dask cluster.")
     ] = None,
-    table: Annotated[str, typer.Option(help="parquet or csv.")] = "parquet",
+    table: Annotated[str, typer.Option(help="Format of the table: parquet or csv.")] = "parquet",
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Results; runs/study_NAME by default."),
+        Path | None, _output("Folder for the results; default: runs/study_NAME.")
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Check every point, run none.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Check all points and run none.")] = False,
     as_json: Json = False,
 ) -> int:
     """Run a study, or what is missing of it, and say what it shows.
 
-    Interrupted, the same command goes on from the runs that are finished.
+    After an interruption the same command goes on from the runs that are finished.
     """
-    from derail_ros.commands import study as command
-
-    return command.run(
-        name, settings or [], ensemble, points, seed, jobs, dask, table, output, check, as_json
-    )
-
-
-Results = Annotated[Path, typer.Argument(help="Folder of results.")]
+    given = (name, settings or [], ensemble, points, seed, jobs, dask, table, output, check)
+    return _call("study", *given, as_json)
 
 
 @study.command("show")
 def study_show(results: Results, as_json: Json = False) -> int:
-    """Print what results say: means with their uncertainty, and sentences."""
-    from derail_ros.commands import study as command
-
-    return command.show(results, as_json)
+    """Print the results: means with their uncertainty, and sentences."""
+    return _call("study", results, as_json, function="show")
 
 
 @study.command("report")
 def study_report(
-    results: Results,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the page.")
-    ],
+    results: Results, output: Annotated[Path, _output("Folder for the page.")]
 ) -> int:
     """Write a page (HTML) with figures and tables, the figures (PNG) and the tables (CSV)."""
-    from derail_ros.commands import study as command
-
-    return command.report(results, output)
+    return _call("study", results, output, function="report")
 
 
 @study.command("list")
 def study_list(as_json: Json = False) -> int:
-    """List the studies that ship."""
-    from derail_ros.commands import study as command
-
-    return command.listing(as_json)
+    """List the shipped studies."""
+    return _call("study", as_json, function="listing")
 
 
-@app.command()
-def spread(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(help="Scenarios; Mississauga and the base train by default."),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="Change a value in all of them."),
-    ] = None,
-    members: Annotated[int, typer.Option("--ensemble", "-n", min=2, help="Runs each.")] = 200,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    as_json: Json = False,
-) -> int:
-    """Show the distributions of outcomes over many runs of a scenario."""
-    from derail_ros.commands import spread as command
-
-    return command.run(names or [], settings or [], members, seed, jobs, as_json)
-
-
-@app.command()
-def convergence(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(help="Scenarios; Mississauga and the base train by default."),
-    ] = None,
-    members: Annotated[
-        int, typer.Option("--ensemble", "-n", min=3, help="Runs a tolerance.")
-    ] = 40,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    tolerances: Annotated[
-        list[float] | None,
-        typer.Option("--rtol", help="A tolerance; 1e-2 to 1e-7 by default."),
-    ] = None,
-    as_json: Json = False,
-) -> int:
-    """Compare ensembles at several tolerances with the tightest."""
-    from derail_ros.commands import convergence as command
-
-    return command.run(names or [], members, seed, jobs, tolerances or [], as_json)
+# Errors --------------------------------------------------------------------------------------
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; its exit code. Errors are one line on stderr."""
+    """Run a command and return its exit code. Errors are one line on stderr."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # A supervisor's SIGTERM ends a command as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, _interrupt)
@@ -588,7 +511,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _explain(error: Exception) -> int:
-    """Turn what is the user's to mend into a line; anything else is a defect and raised."""
+    """Report an error of the user in one line; anything else is a defect and raised again."""
     if type(error).__name__ == "Abort":  # typer's own name for Ctrl-C
         return _fail("interrupted", 130)
     if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # usage

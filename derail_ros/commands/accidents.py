@@ -96,6 +96,7 @@ def run(
     outside = len(reports) - sum(c.reports for c in classes)
     if as_json:
         common.print_json(
+            "accidents",
             {"group": group.words, "reports": len(reports), "outside": outside,
              "classes": [asdict(c) for c in classes]}
         )  # fmt: skip
@@ -186,6 +187,7 @@ def _run_models(
         agreement = {label: _plain(r.agreement(trains, v)) for label, v in counts.items()}
         speeds = [train.speed_kmh for train in trains]
         common.print_json(
+            "accidents",
             {
                 "group": group.words,
                 "settings": list(settings),
@@ -193,7 +195,7 @@ def _run_models(
                 "agreement": agreement,
                 "class_mean": _plain(r.agreement(trains, r.means_of_classes(trains))),
                 "rank_speed": finite(r.rank_correlation(trains, speeds)),
-            }
+            },
         )
     else:
         title = f"Cars derailed, means of {count(len(trains), 'train')}"
@@ -244,7 +246,7 @@ def _run_mean_trains(
             rows.append([*numbers, *reported, *theirs])
     if as_json:
         report = {"group": group.words, "settings": list(settings), "mean_trains": rows}
-        common.print_json(report)
+        common.print_json("accidents", report)
     else:
         title = _titled("Cars derailed of mean trains", group, settings)
         heads = ["speed, km/h", "cars", "t a car", "reports", "reported", *counts]
@@ -264,7 +266,7 @@ def _shipped(statistics: Statistics, as_json: bool) -> int:
     from derail_ros.studies.accidents import GROUPS
 
     if as_json:
-        common.print_json(statistics.as_dict())
+        common.print_json("accidents", statistics.as_dict())
         return OK
     first, last = statistics.years
     common.out().print(

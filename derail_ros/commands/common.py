@@ -55,9 +55,16 @@ def note(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
-def print_json(value: Any) -> None:
-    """One JSON object on stdout; NaN and infinity are an error of ours, never printed."""
-    print(json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2))
+def print_json(name: str, value: Mapping[str, Any], version: int = 1) -> None:
+    """Print one JSON object, with the name and version of its schema unless it has them.
+
+    NaN and infinity are a defect and never printed.
+    """
+    print(_json({"schema": f"derail_ros/{name}", "schema_version": version, **value}))
+
+
+def _json(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2)
 
 
 def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
@@ -203,8 +210,7 @@ def need_extra(command: str, *modules: str) -> None:
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write one JSON object to a file."""
-    text = json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(_json(value) + "\n", encoding="utf-8")
 
 
 def output_directory(path: Path) -> Path:

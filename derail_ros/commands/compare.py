@@ -28,7 +28,7 @@ def run(first: str, second: str, output: Path | None, as_json: bool) -> int:
             )
             save(comparison.scenes(a, b), output / "scenes.png")
     if as_json:
-        common.print_json(facts)
+        common.print_json("comparison", facts)
         return OK
     print(text, end="")
     if output is not None:

@@ -39,7 +39,7 @@ def run(
             raise CommandFailure(f"{scenario.name}: {error}", FAILED) from None
     if as_json:
         values = {"members": members, "seed": seed, "studies": [s.as_dict() for s in studies]}
-        common.print_json(values)
+        common.print_json("convergence", values)
         return OK
     common.print_tables(*map(c.mean_table, studies))
     common.out().print(

@@ -102,7 +102,7 @@ def run(
         "trains": trains,
     }
     if as_json:
-        common.print_json(report)
+        common.print_json("estimate", report)
         return OK
     console = common.out()
     console.print(f"[bold]{name}[/bold]: {case.title}")

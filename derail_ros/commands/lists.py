@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from derail_ros.commands import common
 from derail_ros.commands.common import OK
+from derail_ros.studies.tables import Table
 
 
 def scenarios(as_json: bool) -> int:
@@ -14,10 +13,11 @@ def scenarios(as_json: bool) -> int:
 
     found = list_scenarios()
     if as_json:
-        rows = [{"name": s.name, "title": s.title} for s in found]
-        common.print_json("scenarios", {"scenarios": rows})
+        names = [{"name": s.name, "title": s.title} for s in found]
+        common.print_json("scenarios", {"scenarios": names})
         return OK
-    _print(("name", "title"), [(s.name, s.title) for s in found])
+    rows = [(s.name, s.title) for s in found]
+    common.print_tables(Table(("name", "title"), rows, texts=2))
     return OK
 
 
@@ -40,18 +40,6 @@ def models(as_json: bool) -> int:
         common.print_json("models", {"models": rows})
         return OK
     told = [(r["name"], r["words"], ", ".join(r["features"])) for r in rows]
-    _print(("name", "model", "features"), told)
+    common.print_tables(Table(("name", "model", "features"), told, texts=3))
     print("`derail simulate SCENARIO --model NAME` runs a model; only engines write recordings.")
     return OK
-
-
-def _print(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for k, head in enumerate(heads):
-        table.add_column(head, style=None if k else "bold", no_wrap=not k)
-    for row in rows:
-        table.add_row(*(escape(cell) for cell in row))
-    common.out().print(table)

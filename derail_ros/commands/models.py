@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from derail_ros.commands import common
+from derail_ros.commands import common, results
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.vocabulary.words import count, finite
 
 if TYPE_CHECKING:
     from derail_ros.baselines.models import ModelRun
-    from derail_ros.scenario import Scenario
     from derail_ros.vocabulary.measures import Record
 
 
@@ -38,10 +37,10 @@ def run(
     roll: bool,
     as_json: bool,
     output: Path | None,
+    verbose: bool = False,
 ) -> int:
     """Run a scenario with one of the models; the exit code."""
     from derail_ros.baselines.models import MODELS, ModelError, run_job, run_model
-    from derail_ros.commands.simulate import exit_code, report_of
     from derail_ros.studies.ensemble import Job, gather
     from derail_ros.vocabulary.errors import ParameterError, SimulationError
     from derail_ros.vocabulary.measures import failed_record
@@ -76,69 +75,42 @@ def run(
             text = " ".join(str(error).split())
             records.append(failed_record(text, time.perf_counter() - began))
         others = [Job(params, member=m, seed=seed) for m in range(1, members)]
-        results = gather(
+        found = gather(
             others,
             jobs=jobs,
             task=lambda job, stop: run_job(model, job, stop),
             progress=lambda done, _: bars.update(task, state=f"{1 + done} of {members} runs"),
         )
-    for result in results.get(None, ()):
-        failed = result.error is not None
-        records.append(
-            failed_record(result.error or "", result.wall_s) if failed else result.value.record
-        )
-    report = report_of(scenario, model, None if ensemble is None else seed, records)
-    report["notes"] = {} if first is None else first.notes
+    for result in found.get(None, ()):
+        failed = None if result.error is None else failed_record(result.error, result.wall_s)
+        records.append(failed or result.value.record)
+    notes = {} if first is None else first.notes
+    report = results.report_of(scenario, model, None if ensemble is None else seed, records, notes)
     if output is not None:
-        _write(output, scenario, settings, report, first)
-    if as_json:
-        common.print_json(report)
-    else:
-        _print(report, output)
-    return exit_code(report)
+        if first is not None and first.scene is not None:
+            from derail_ros.review import drawing, figures
+
+            scene = dataclasses.replace(
+                first.scene, title=scenario.title, subtitle=f"model: {model}"
+            )
+            drawing.save(figures.final_scene(scene), output / "final_scene.png")
+        results.write(output, scenario, settings, report)
+    about = [f"model {model}: {MODELS[model].words}", *_noted(notes)]
+    return results.finish(report, output, as_json, verbose, about)
 
 
-def _write(
-    output: Path,
-    scenario: Scenario,
-    settings: Sequence[str],
-    report: Record,
-    first: ModelRun | None,
-) -> None:
-    from derail_ros.commands.simulate import write_manifest, write_outcomes
-
-    write_outcomes(output, report)
-    if first is not None and first.scene is not None:
-        from derail_ros.review import drawing, figures
-
-        scene = dataclasses.replace(
-            first.scene, title=scenario.title, subtitle=f"model: {report['model']}"
-        )
-        drawing.save(figures.final_scene(scene), output / "final_scene.png")
-    write_manifest(output, scenario, settings, report, model=report["model"], seed=report["seed"])
-
-
-def _print(report: Record, output: Path | None) -> None:
-    from rich.markup import escape
-
-    from derail_ros.baselines.models import MODELS
-    from derail_ros.commands.simulate import many_runs, one_run
-
-    console = common.out()
-    console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
-    console.print(f"model {report['model']}: {MODELS[report['model']].words}")
-    outcomes = report["outcomes"]
-    console.print(one_run(outcomes[0]) if report["members"] == 1 else many_runs(report))
-    for key, value in report["notes"].items():
-        if value is None or (isinstance(value, list) and len(value) > 2):
-            continue
-        console.print(f"{key.replace('_', ' ')}: {value}")
-    rolls = report["notes"].get("roll_deg")
+def _noted(notes: Record) -> list[str]:
+    """What a model tells beside the outcome, in lines."""
+    lines = [
+        f"{key.replace('_', ' ')}: {value}"
+        for key, value in notes.items()
+        if value is not None and not (isinstance(value, list) and len(value) > 2)
+    ]
+    rolls = notes.get("roll_deg")
     if rolls is not None:
         rolled = [f"{i + 1} ({r:.0f})" for i, r in enumerate(rolls) if r]
-        console.print("roll estimate (degrees), cars: " + (", ".join(rolled) or "none"))
-    if output is not None:
-        console.print(f"results in {escape(str(output))}", soft_wrap=True)
+        lines.append(f"roll estimate (degrees), cars: {', '.join(rolled) or 'none'}")
+    return lines
 
 
 def parse_speeds(text: str) -> list[float]:
@@ -191,6 +163,8 @@ def compare_models(
             runs.append(comparison.compare(train.to_params(), chosen, progress=show))
     answers = [{e.model: e.as_dict() for e in entries} for entries in runs]
     report: dict[str, Any] = {
+        "schema": "derail_ros/model_comparison",
+        "schema_version": 1,
         "scenario": scenario.name,
         "title": scenario.title,
         "hash": scenario.hash,
@@ -215,7 +189,7 @@ def compare_models(
             page = figures.by_speed_figure(title, series, runs)
         save(page, output / "comparison.png", dpi=80)
     if as_json:
-        common.print_json(report)
+        common.print_json("model_comparison", report)
     else:
         from rich.markup import escape
 
@@ -283,6 +257,7 @@ def joint_velocities(
     ]
     if as_json:
         common.print_json(
+            "joint_velocities",
             {
                 "train": name,
                 "impulse_N_s": impulse,
@@ -290,7 +265,7 @@ def joint_velocities(
                 "tail_m_per_s": finite(answer.joint[-1]),
                 "tail_relative": finite(answer.relative[-1]),
                 "energy_J": finite(answer.energy),
-            }
+            },
         )
         return OK
     from rich.markup import escape

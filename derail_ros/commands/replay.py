@@ -33,11 +33,12 @@ def run(place: str, as_json: bool) -> int:
     same = not any(result.differences for result in results)
     if as_json:
         common.print_json(
+            "replay",
             {
                 "same": same,
                 "same_engine": not other,
                 "runs": [result.plain() for result in results],
-            }
+            },
         )
     else:
         for result in results:

@@ -78,7 +78,7 @@ def run(
         if figures:
             written += write_figures(found, output)
     if as_json:
-        common.print_json(facts)
+        common.print_json("review", facts)
         return OK
     print(found.title)
     for sentence in summary.headline(found):

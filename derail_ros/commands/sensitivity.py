@@ -30,7 +30,7 @@ def run(
             members, seed, jobs=jobs, cases=cases, constants=constants, progress=progress
         )
     if as_json:
-        common.print_json(study.as_dict())
+        common.print_json("sensitivity", study.as_dict())
     else:
         common.print_tables(s.effect_table(study))
         common.out().print(

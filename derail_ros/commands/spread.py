@@ -46,7 +46,7 @@ def run(
                 )
             )
     if as_json:
-        common.print_json({"spreads": [one.as_dict() for one in spreads]})
+        common.print_json("spread", {"spreads": [one.as_dict() for one in spreads]})
     else:
         for one in spreads:
             common.print_tables(s.spread_table(one))

@@ -109,7 +109,8 @@ def listing(as_json: bool) -> int:
     studies = list_studies()
     if as_json:
         keys = ("name", "title", "size")
-        common.print_json({"studies": [dict(zip(keys, s, strict=True)) for s in studies]})
+        rows = [dict(zip(keys, s, strict=True)) for s in studies]
+        common.print_json("studies", {"studies": rows})
         return OK
     from derail_ros.studies.tables import Table
 
@@ -133,7 +134,7 @@ def _answer(folder: Path, as_json: bool) -> int:
     results = _results(folder)
     failed = int((results.table["status"] == "failed").sum())
     if as_json:
-        common.print_json(answer(results))
+        common.print_json("study", answer(results))
     else:
         _print(results)
     if failed:

@@ -17,7 +17,7 @@ def run(members: int, seed: int, jobs: int | None, settings: Sequence[str], as_j
     with common.counting_runs("validate") as progress:
         result = v.validate(members, seed, jobs=jobs, settings=overrides, progress=progress)
     if as_json:
-        common.print_json(result.as_dict())
+        common.print_json("validation", result.as_dict())
     else:
         doubt = [v.doubt_table(result)] if result.doubtful else []
         common.print_tables(*v.measure_tables(result), v.goal_table(result), *doubt)

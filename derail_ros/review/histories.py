@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import json
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -22,7 +23,7 @@ import numpy as np
 from derail_ros.recording.decoding import PACKAGE, decode
 from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.recording.storage import BagError, open_bag
-from derail_ros.review.summary import by_severity
+from derail_ros.review.summary import by_severity, fields_of
 from derail_ros.vocabulary.status import CORNERS
 from msg_adapters.definitions import read_copy
 
@@ -200,41 +201,31 @@ STREAMS: dict[str, tuple[tuple[str, Callable[[Any], Row]], ...]] = {
 """Message -> tables written from it while the recording is read."""
 
 
-COLLISION_COLUMNS = {
-    "id": "id", "striking_car": "car_a", "struck_car": "car_b", "start_s": "start",
-    "end_s": "end", "peak_corner_force_N": "peak_force", "peak_corner_force_time_s": "peak_time",
-    "peak_resultant_force_N": "peak_resultant",
-    "peak_resultant_force_time_s": "peak_resultant_time", "closing_speed_m_s": "closing_speed",
-    "angle_rad": "angle", "x_m": "x", "y_m": "y", "z_m": "z", "normal_x": "normal_x",
-    "normal_y": "normal_y", "normal_z": "normal_z", "corner_car": "corner_car", "touch": "touch",
-    "object": "object", "energy_taken_out_J": "energy_lost",
-}  # fmt: skip
-"""Column -> attribute of ``vocabulary.events.Collision``."""
-
-EVENT_COLUMNS = {
-    "time_s": "time", "step": "step", "kind": "kind", "cars": "cars", "end": "end",
-    "cause": "cause", "x_m": "x", "y_m": "y", "z_m": "z",
-    "track_coordinate_m": "track_coordinate", "speed_m_s": "speed", "value": "value",
-    "value_unit": "value_unit", "object": "object", "before": "before", "after": "after",
-    "text": "text",
-}  # fmt: skip
-"""Column -> attribute of ``vocabulary.events.Event``."""
+def _columns(rows: list[Row]) -> Row:
+    return {name: [row[name] for row in rows] for name in rows[0]} if rows else {"id": []}
 
 
 def collision_rows(run: RecordedRun) -> Row:
     """The collisions as columns, the hardest first."""
-    rows = by_severity(run)
-    return {name: [getattr(c, of) for c in rows] for name, of in COLLISION_COLUMNS.items()}
+    return _columns([fields_of(c) | {"touch": c.touch} for c in by_severity(run)])
 
 
 def event_rows(run: RecordedRun) -> Row:
     """The events as columns, in order of time."""
-    columns: Row = {
-        name: [getattr(e, of) for e in run.events] for name, of in EVENT_COLUMNS.items()
-    }
-    columns["kind"] = [kind.word for kind in columns["kind"]]
-    columns["cars"] = [" ".join(map(str, cars)) for cars in columns["cars"]]
-    return {"sequence": list(range(len(run.events)))} | columns
+    return _columns(
+        [
+            {"sequence": k}
+            | fields_of(e)
+            | {
+                "kind": e.kind.word,
+                "cars": " ".join(map(str, e.cars)),
+                "value_unit": e.value_unit,
+                "more": json.dumps(dict(e.more)) if e.more else "",
+                "text": e.text,
+            }
+            for k, e in enumerate(run.events)
+        ]
+    )
 
 
 def consist_rows(run: RecordedRun) -> Row:
@@ -253,9 +244,9 @@ def consist_rows(run: RecordedRun) -> Row:
         "represents_cars": cars.represents,
         "derailed_at_s": outcome.derail_time,
         "derailed_speed_m_s": outcome.derail_speed,
-        "peak_corner_force_N": outcome.car_peak_force,
-        "peak_corner_force_time_s": outcome.car_peak_time,
-        "peak_corner_force_other_car": outcome.car_peak_other,
+        "peak_force_N": outcome.car_peak_force,
+        "peak_force_time_s": outcome.car_peak_time,
+        "peak_force_from": outcome.car_peak_other,
     }
 
 

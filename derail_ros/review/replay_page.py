@@ -56,13 +56,6 @@ ENERGY_PARTS = {
     "": "draft gear and couplers",
 }
 """Part of the energy (:func:`plots.energy_parts`) -> its name on the page."""
-TOLD = (
-    EventKind.TRUCK_DERAILED,
-    EventKind.COUPLER_PARTED,
-    EventKind.CAR_AT_REST,
-    EventKind.BRAKE_SIGNAL_REACHED,
-)
-"""Events that are told of each car."""
 
 
 def page(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
@@ -293,9 +286,8 @@ def _car_events(run: RecordedRun) -> list[list[dict[str, Any]]]:
             rows[car - 1].append({"time": round(time, 6), "kind": kind, "text": capital(text)})
 
     for e in run.events:
-        if e.kind in TOLD:
-            for car in e.cars[:2]:
-                add(car, e.time, e.kind.word, e.text)
+        for car in e.cars[:2]:
+            add(car, e.time, e.kind.word, e.text)
     for c in run.collisions:
         for car in (c.car_a, c.car_b):
             add(car, c.peak_time, "collision", c.text)

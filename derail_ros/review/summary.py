@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 import textwrap
@@ -131,26 +132,25 @@ def by_severity(run: RecordedRun) -> list[Collision]:
     return sorted(run.collisions, key=lambda c: (-c.peak_force, c.id))
 
 
+UNITS = {
+    "time": "_s", "start": "_s", "end": "_s", "peak_time": "_s", "peak_resultant_time": "_s",
+    "x": "_m", "y": "_m", "z": "_m", "track_coordinate": "_m", "speed": "_m_s",
+    "closing_speed": "_m_s", "peak_force": "_N", "peak_resultant": "_N", "angle": "_rad",
+    "energy_lost": "_J",
+}  # fmt: skip
+"""Unit of a number of an event or a collision, as its name in files ends with."""
+
+
+def fields_of(item: Event | Collision) -> dict[str, Any]:
+    """The fields of an event or a collision by their names with the unit."""
+    found = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
+    return {k + UNITS.get(k, "") if isinstance(v, float) else k: v for k, v in found.items()}
+
+
 def collision_finding(c: Collision) -> dict[str, Any]:
     """A collision as plain data."""
-    return {
-        "id": c.id,
-        "final": c.final,
-        "striking_car": c.car_a,
-        "struck_car": c.car_b,
-        "text": c.text,
-        "start_s": c.start,
-        "end_s": finite(c.end),
-        "peak_force_N": c.peak_force,
-        "peak_time_s": c.peak_time,
-        "peak_resultant_N": c.peak_resultant,
-        "closing_speed_m_s": finite(c.closing_speed),
-        "angle_deg": finite(math.degrees(c.angle)),
-        "x_m": c.x,
-        "y_m": c.y,
-        "corner": c.touch,
-        "energy_taken_J": finite(c.energy_lost),
-    }
+    found = {k: finite(v) if isinstance(v, float) else v for k, v in fields_of(c).items()}
+    return found | {"touch": c.touch, "text": c.text}
 
 
 def _entry(kind: EventKind, cars: list[int], text: str, **more: Any) -> dict[str, Any]:

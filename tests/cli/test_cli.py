@@ -158,3 +158,24 @@ def test_a_film_of_something_is_not_refused(times):
     from derail_ros.commands.animate import check_times
 
     check_times(*times, 0.0, 26.72)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["scenarios", "models", "estimate bar-1", "joint-velocities", "accidents", "study list"],
+)
+def test_json_says_what_it_is(derail, command):
+    answer = derail(*command.split(), "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["schema"].startswith("derail_ros/")
+    assert answer.json["schema_version"] >= 1
+
+
+def test_the_models_are_listed(derail):
+    found = {m["name"]: m for m in derail("models", "--json").json["models"]}
+    assert found["planar"]["engine"]
+    assert "rail_breaks" in found["planar"]["features"]
+    assert not found["anderson"]["engine"]
+    assert all(m["words"] for m in found.values())
+    table = derail("models").out
+    assert all(name in table for name in found)

@@ -237,7 +237,7 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
     assert touching > 5, "corners in contact among the states looked at"
     assert float(tables["energy"]["kinetic_J"][-1]) == run.energy["kinetic"][-1]
     hardest = summary.by_severity(run)[0]
-    assert float(tables["collisions"]["peak_corner_force_N"][0]) == hardest.peak_force
+    assert float(tables["collisions"]["peak_force_N"][0]) == hardest.peak_force
 
 
 SIZES = {"TrainState": ("N", "4 N"), "CouplerStates": ("N-1", "N")}

@@ -1,0 +1,201 @@
+"""What ``derail simulate`` reports of any model: JSON, tables, files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, note
+from derail_ros.studies.records import Ensemble
+from derail_ros.studies.tables import Table
+from derail_ros.vocabulary.ledger import SMALL_SHARE, percentages, shares
+from derail_ros.vocabulary.measures import (
+    HEADLINE,
+    MEASURES,
+    NUMERICS,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Record,
+    counted,
+    record_numbers,
+    shown_rows,
+)
+from derail_ros.vocabulary.status import TIME_LIMIT, VOID
+from derail_ros.vocabulary.words import count
+
+if TYPE_CHECKING:
+    from derail_ros.scenario import Scenario
+
+REMARKS = {
+    VOID: ": the body that stands for the cars behind reached a break; model more cars",
+    TIME_LIMIT: ": the run ended at its time limit, not at rest (integration.time_limit_s)",
+}
+"""Status of a run -> what to know of it."""
+
+
+def report_of(
+    scenario: Scenario,
+    model: str,
+    seed: int | None,
+    records: Sequence[Record],
+    notes: Mapping[str, Any],
+    warnings: Sequence[str] = (),
+) -> Record:
+    """The runs of a scenario as plain data; ``seed`` is None for a single run."""
+    found = Ensemble(tuple(records))
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "hash": scenario.hash,
+        "seed": seed,
+        "members": len(found),
+        "void": found.void,
+        "failed": found.failed,
+        "outcomes": list(records),
+        "mean": found.mean(),
+        "sd": found.sd(),
+        "model": model,
+        "notes": dict(notes),
+        "warnings": list(warnings),
+    }
+
+
+def finish(
+    report: Record, output: Path | None, as_json: bool, verbose: bool, about: Sequence[str] = ()
+) -> int:
+    """Print a report and return the exit code. ``about`` are lines for people."""
+    if as_json:
+        common.print_json("outcome", report)
+    else:
+        _print(report, output, verbose, about)
+    for warning in report["warnings"]:
+        note(f"derail: warning: {warning}")
+    errors = ((i, r["error"]) for i, r in enumerate(report["outcomes"]) if "error" in r)
+    for i, error in errors:
+        note(f"derail: member {i} failed: {error}")
+        break
+    return FAILED if report["failed"] == report["members"] else OK
+
+
+# Files -------------------------------------------------------------------------------------
+
+
+def write(
+    output: Path, scenario: Scenario, settings: Sequence[str], report: Record, **more: Any
+) -> None:
+    """Write outcomes and manifest; ``more`` are entries of the manifest."""
+    from derail_ros.recording.manifest import software_versions
+
+    common.write_json(output / "outcomes.json", report)
+    if report["members"] > 1:
+        write_csv(output / "outcomes.csv", report["outcomes"])
+    common.write_json(
+        output / "manifest.json",
+        {
+            "schema": "derail_ros/results",
+            "schema_version": 2,
+            "command": "simulate",
+            "model": report["model"],
+            "scenario": scenario.resolved(),
+            "scenario_name": scenario.name,
+            "scenario_hash": scenario.hash,
+            "settings": list(settings),
+            "ensemble": report["members"],
+            "seed": report["seed"],
+            **more,
+            "software": software_versions(),
+            "files": sorted(p.name for p in output.iterdir()) + ["manifest.json"],
+        },
+    )
+
+
+def write_csv(path: Path, records: Sequence[Record]) -> None:
+    """One row per member: its measures, lists of cars as their number."""
+    rows = []
+    for i, record in enumerate(records):
+        pair = record.get("peak_force_pair")
+        rows.append(
+            {
+                "member": i,
+                "status": record.get("status", ""),
+                "void": int(bool(record.get("void", False))),
+                "error": record.get("error", ""),
+                "peak_force_pair": "" if pair is None else f"{pair[0]}-{pair[1]}",
+                **record_numbers(record),
+            }
+        )
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+# Tables ------------------------------------------------------------------------------------
+
+
+def _print(report: Record, output: Path | None, verbose: bool, about: Sequence[str]) -> None:
+    from rich.markup import escape
+
+    console = common.out()
+    console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
+    groups = (HEADLINE, NUMERICS) if verbose else (HEADLINE,)
+    if report["members"] == 1:
+        common.print_tables(_one_run(report["outcomes"][0], groups))
+    else:
+        common.print_tables(_many_runs(report, groups))
+        console.print(_counts(report))
+    for line in about:
+        console.print(escape(line), soft_wrap=True)
+    if output is not None:
+        which = ""
+        if report["members"] > 1:
+            which = (
+                f": outcomes of all {report['members']} runs; recording and figures of member 0"
+            )
+        console.print(f"results in {escape(str(output))}{which}", soft_wrap=True)
+
+
+def _one_run(record: Record, groups: Sequence[str]) -> Table:
+    if "error" in record:
+        return Table(("outcome", ""), [("failed", record["error"])], texts=2)
+    rows = [("status", record["status"] + REMARKS.get(record["status"], ""))]
+    rows += shown_rows(record, groups)
+    ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
+    large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]
+    numbers = percentages([share for _, share in large])
+    if large:
+        parts = (f"{words} {n} %" for (words, _), n in zip(large, numbers))
+        rows.append(("stopped by", ", ".join(parts)))
+    return Table(("outcome", ""), rows, texts=2)
+
+
+def _many_runs(report: Record, groups: Sequence[str]) -> Table:
+    good = [record_numbers(r) for r in report["outcomes"] if counted(r)]
+    first = record_numbers(report["outcomes"][0])
+    rows = []
+    for m in MEASURES.values():
+        values = [r[m.key] for r in good if m.key in r]
+        if values and m.group in groups:
+            spread = (m.shown(report[k].get(m.key), 1) for k in ("mean", "sd"))
+            ends = (m.shown(v) for v in (min(values), max(values), first.get(m.key)))
+            rows.append((m.title, *spread, *ends))
+    return Table(("ensemble", "mean", "sd", "least", "most", "member 0"), rows)
+
+
+def _counts(report: Record) -> str:
+    """How many runs there were, and which of them did not count."""
+    text = count(report["members"], "run")
+    if report["void"]:
+        text += f", {report['void']} void and left out"
+    if report["failed"]:
+        text += f", {report['failed']} failed"
+    cut_off = sum(r["status"] == TIME_LIMIT for r in report["outcomes"])
+    if cut_off:
+        text += f", {cut_off} ended at the time limit, not at rest"
+    return text
