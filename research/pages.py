@@ -70,7 +70,7 @@ def document(*parts: str | Table) -> str:
         elif part.startswith(("#", "![", "|")):
             blocks.append(part)
         else:
-            blocks.append("\n".join(textwrap.wrap(part, 99)))
+            blocks.append("\n".join(textwrap.wrap(part, 99, break_on_hyphens=False)))
     return "\n\n".join(blocks) + "\n"
 
 

@@ -697,7 +697,6 @@ class AndersonModel:
             scene_length=box[0],
             scene_width=box[1],
             scene_area=box[2],
-            max_truck_offset=float(s.clock[L.MAX_OFFSET]),
             derail_time=s.peak[:, L.PK_DERAIL_T].copy(),
             derail_speed=s.peak[:, L.PK_DERAIL_V].copy(),
             rear_part_first_car=int(behind[0]) + 1 if len(behind) else 0,

@@ -346,7 +346,9 @@ UNKNOWN = {
     "yang-manos": {"peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
                    "cars_above_5MN", "cars_above_10MN", "severity", "share_collisions"},
 }  # fmt: skip
-UNKNOWN["anderson"] = UNKNOWN["yang-manos"] - {"share_collisions"} | {"max_coupler_gap_m"}
+UNKNOWN["anderson"] = UNKNOWN["yang-manos"] - {"share_collisions"} | {
+    "max_coupler_gap_m", "max_truck_offset_m",
+}  # fmt: skip
 UNKNOWN["roorda-gracie"] = UNKNOWN["yang-manos"] | {
     "max_coupler_gap_m", "max_truck_offset_m", "first_derailment_s", "energy_residual",
 }  # fmt: skip
