@@ -126,11 +126,11 @@ class _OpenRecording:
         self.release(now)
 
     def release(self, now: float) -> None:
-        """Write held messages whose wait has ended, latched topics first."""
+        """Write held messages whose wait has ended, by time, of equal times latched ones first."""
         if self._held is None:
             return
         if now >= self._hold_until or self._awaited <= {name for name, _, _ in self._held}:
-            for message in sorted(self._held, key=lambda m: not self.topics[m[0]].latched):
+            for message in sorted(self._held, key=lambda m: (m[1], not self.topics[m[0]].latched)):
                 self.recorder.write(*message)
             self._held = None
 

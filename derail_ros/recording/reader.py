@@ -193,7 +193,9 @@ class _Reader:
         outcome = got.outcome
         if outcome is None or not outcome.final or len(outcome.pose) != n:
             outcome = derive_outcome(run, outcome)
-            if not outcome.final:
+            if outcome.final:
+                bag.warn("no final outcome: it is worked out from states, events and collisions")
+            else:
                 bag.warn(
                     "the end of the run is not in it: it stands as at"
                     f" {outcome.time:.2f} s, the last moment recorded"
