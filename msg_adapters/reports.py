@@ -307,10 +307,12 @@ def measure_value(kind: str, value: Any) -> list[float]:
 
 def outcome_fields(result: Outcome) -> dict[str, Any]:
     """What the message of an outcome says of it."""
+    # Nothing is sent for what does not exist, nor for a list without cars: Fast CDR puts bytes
+    # behind an empty sequence of doubles that others do not expect.
     measures = [
-        quantity(m.key, measure_value(m.kind, m.value(result)), m.unit)
+        quantity(m.key, values, m.unit)
         for m in MEASURES.values()
-        if m.kind != TEXT
+        if (values := measure_value(m.kind, m.value(result)))
     ]
     cars = [quantity(key, getattr(result, name)) for key, name in CAR_VALUES.items()]
     cars += [quantity(key, result.pose[:, k]) for key, k in POSE.items()]

@@ -349,7 +349,7 @@ def with_spread(result: TrialResult, key: str = "cars_derailed") -> str:
     mean, sd = result.mean.get(key), result.sd.get(key)
     if mean is None:
         return "-"
-    shown = MEASURES[key].shown
+    shown = MEASURES[key].shown_mean
     text = shown(mean)
     return text if sd is None else f"{text} ± {shown(sd)}"
 

@@ -80,11 +80,11 @@ def residual(ledger: Mapping[str, float]) -> float:
 
 def shares(ledger: Mapping[str, float]) -> list[tuple[EnergyEntry, float, float]]:
     """What took energy out: entry, J, share of the initial energy (nan without); largest first."""
-    total = ledger.get("initial", 0.0)
+    total = ledger.get("initial") or 0.0
     rows = [
         (e, ledger[e.key], ledger[e.key] / total if total > 0.0 else math.nan)
         for e in entries(TAKEN)
-        if e.key in ledger
+        if ledger.get(e.key) is not None
     ]
     return sorted(rows, key=lambda row: -row[1])
 

@@ -109,6 +109,10 @@ class Measure:
         digits = max(self.digits, 1) if self.whole else self.digits
         return f"{value * self.scale:.{digits + more}f}"
 
+    def shown_mean(self, value: float | None) -> str:
+        """A mean or a deviation for people: like :meth:`shown`, a count with one digit."""
+        return f"{value:.1f}" if self.whole and value is not None else self.shown(value)
+
 
 def _share(*entries: str) -> Callable[[Outcome], float]:
     def share(o: Outcome) -> float:

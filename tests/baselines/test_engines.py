@@ -353,7 +353,8 @@ UNKNOWN["roorda-gracie"] = UNKNOWN["yang-manos"] | {
     "max_coupler_gap_m", "max_truck_offset_m", "first_derailment_s", "energy_residual",
 }  # fmt: skip
 LINE = UNKNOWN["roorda-gracie"] | {
-    "scene_length_m", "scene_width_m", "scene_area_m2", "rear_part_first_car", "rear_stop_m",
+    "scene_length_m", "scene_width_m", "scene_area_m2", "rear_part_first_car",
+    "rear_part_coordinate_m", "rear_stop_m",
     "share_brakes", "share_ground", "steps", "rejected_steps",
 }  # fmt: skip
 

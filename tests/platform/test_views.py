@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 from msg_adapters.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,12 +56,16 @@ def test_foxglove_shows_fields_that_exist():
         if package != "derail_msgs":
             pytest.fail(f"{path}: only fields of derail_msgs are known here")
         text = (ROOT / package / "msg" / f"{message}.msg").read_text(encoding="utf-8")
+        keyed = re.fullmatch(r'entries\[:\]\{key=="(\w+)"\}\.values\[0\]', field)
+        if keyed is not None:
+            assert message == "EnergyLedger" and keyed[1] in ENERGY_ENTRIES, path
+            continue
         field, index = re.fullmatch(r"(\w+)(\[\d+\])?", field).groups()
         array = r"\[\]" if index else ""
         assert re.search(rf"^\w+{array} +{field} +#", text, re.MULTILINE), path
     for panel in panels.values():
         for line in panel.get("paths", []):
-            index = re.search(r"\[(\d+)\]", line["value"])
+            index = re.search(r"(?<!values)\[(\d+)\]", line["value"])
             assert index is None or line["label"] == f"car {int(index[1]) + 1}"
 
 
