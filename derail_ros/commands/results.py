@@ -21,7 +21,6 @@ from derail_ros.vocabulary.measures import (
     Record,
     counted,
     record_numbers,
-    shown_rows,
 )
 from derail_ros.vocabulary.status import TIME_LIMIT, VOID
 from derail_ros.vocabulary.words import count
@@ -165,7 +164,7 @@ def _one_run(record: Record, groups: Sequence[str]) -> Table:
     if "error" in record:
         return Table(("outcome", ""), [("failed", record["error"])], texts=2)
     rows = [("status", record["status"] + REMARKS.get(record["status"], ""))]
-    rows += shown_rows(record, groups)
+    rows += [(m.title, m.shown(record.get(m.key))) for m in MEASURES.values() if m.group in groups]
     ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
     large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]
     numbers = percentages([share for _, share in large])

@@ -41,8 +41,7 @@ def told(outcome: Any) -> tuple[Any, ...]:
         outcome.time,
         outcome.step,
         tuple(outcome.derailed_cars),
-        outcome.peak_corner_force,
-        outcome.energy_residual,
+        tuple((q.key, tuple(q.values)) for q in outcome.measures),
     )
 
 
