@@ -41,8 +41,9 @@ def told(outcome: Any) -> tuple[Any, ...]:
         outcome.time,
         outcome.step,
         tuple(outcome.derailed_cars),
-        outcome.peak_corner_force,
-        outcome.energy_residual,
+        # As text: what does not exist is NaN, which equals nothing.
+        [(q.key, repr(list(q.values))) for q in (*outcome.measures, *outcome.cars)],
+        [(q.key, repr(list(q.values))) for q in outcome.energy],
     )
 
 
