@@ -87,7 +87,10 @@ def test_mixed_calls_from_four_clients(tmp_path, capsys, calls) -> None:
     # Events are those of the accepted commands, in order, and nothing else.
     accepted = [entry for r in reports for entry in r["accepted"]]
     breaks = [e for e in told if e.kind_name == "rail_break_set"]
-    assert len(breaks) == sum(service == "inject_rail_break" for service, _ in accepted)
+    # A request that was sent again may have been carried out before.
+    resent = sum(r["resent"] for r in reports)
+    asked = sum(service == "inject_rail_break" for service, _ in accepted)
+    assert asked <= len(breaks) <= asked + resent, said
     assert {e.kind_name for e in told} == {"run_loaded", "rail_break_set"}
     assert heard == [event.text for event in told]
     assert {m.run_id for m in states} == {told[0].run_id}
@@ -95,9 +98,9 @@ def test_mixed_calls_from_four_clients(tmp_path, capsys, calls) -> None:
         [0.02] * (len(states) - 1), abs=1e-9
     )
     run = read_manifest(tmp_path / "bag").run
-    assert len(run.commands) == len(accepted)
+    assert len(accepted) <= len(run.commands) <= len(accepted) + resent
     refused = sum(r["refused"] for r in reports)
-    assert min(refused, 1000) <= len(run.refused) <= min(refused, 1001)
+    assert min(refused, 1000) <= len(run.refused) <= min(refused + resent, 1001)
     # The run without the refused calls is the same, to the bit.
     assert main(["replay", str(tmp_path / "bag")]) == 0, capsys.readouterr().out
 

@@ -41,7 +41,9 @@ def told(outcome: Any) -> tuple[Any, ...]:
         outcome.time,
         outcome.step,
         tuple(outcome.derailed_cars),
-        tuple((q.key, tuple(q.values)) for q in outcome.measures),
+        # As text: what does not exist is NaN, which equals nothing.
+        [(q.key, repr(list(q.values))) for q in (*outcome.measures, *outcome.cars)],
+        [(q.key, repr(list(q.values))) for q in outcome.energy],
     )
 
 
