@@ -80,7 +80,6 @@ def derail_ros(method: str, rtol: float, bars: int = 100, end: float = END) -> d
 def chain_run(method: str, rtol: float, bars: int, end: float) -> Any:
     """The chain as a train off the rails on ground without friction."""
     from derail_ros.engine import PlanarSimulation
-    from derail_ros.engine import layout as L
     from derail_ros.vocabulary.params import (
         BrakeParams,
         Car,
@@ -126,7 +125,7 @@ def chain_run(method: str, rtol: float, bars: int, end: float) -> Any:
     run = PlanarSimulation(params)
     # The scenarios' forces are lateral and their trains start along the line.
     q, v = start(bars)
-    run._model.lateral[0, L.LF_X : L.LF_Y + 1] = -FORCE, 0.0
+    run._model.lateral["fx"], run._model.lateral["fy"] = -FORCE, 0.0
     run._state.v[:, :3] = v
     run._state.v0[...] = run._state.v
     if not run._evaluate():

@@ -29,8 +29,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import Model, Rows, State, Work
 from derail_ros.engine.dynamics import constraint_gamma, project_positions, project_velocities
 from derail_ros.engine.forces.brakes import apply_brakes, brake_forces, next_application
 from derail_ros.engine.forces.pushes import next_push, push_forces
@@ -41,6 +41,7 @@ from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
 from derail_ros.engine.methods import RKF45
+from derail_ros.engine.sampling import WORK_ENTRIES
 from derail_ros.engine.simulation import PlanarSimulation
 from derail_ros.engine.solver import factor, plain_masses, solve
 from derail_ros.engine.trigonometry import angles
@@ -128,15 +129,15 @@ _ERRORS = {
 
 @inner_jit
 def _gap(
-    model: Model, q: F64, v: F64, wk: F64, i: int
+    model: Model, q: F64, v: F64, wk: Rows, i: int
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Vector from the rear face of car i to the front face of i + 1, its rate, both arms."""
-    b = model.car[i, L.DP] + model.car[i, L.DCR]
-    f = model.car[i + 1, L.DP] + model.car[i + 1, L.DCF]
-    bx = -b * wk[i, L.W_CT]
-    by = -b * wk[i, L.W_ST]
-    fx = f * wk[i + 1, L.W_CT]
-    fy = f * wk[i + 1, L.W_ST]
+    b = model.car[i].pivot + model.car[i].rear
+    f = model.car[i + 1].pivot + model.car[i + 1].front
+    bx = -b * wk[i].ct
+    by = -b * wk[i].st
+    fx = f * wk[i + 1].ct
+    fy = f * wk[i + 1].st
     gx = q[i + 1, 0] + fx - q[i, 0] - bx
     gy = q[i + 1, 1] + fy - q[i, 1] - by
     rx = v[i + 1, 0] - v[i + 1, 2] * fy - v[i, 0] + v[i, 2] * by
@@ -151,7 +152,7 @@ def applied_forces(
     """All applied forces into ``work.force``, their powers into ``work.power``."""
     keep_separate()
     n = q.shape[0]
-    eps = model.par[L.G_EPS]
+    eps = model.par[0].ground_eps
     mu = own[S_MU]
     wk = work.wk
     force = work.force
@@ -166,13 +167,13 @@ def applied_forces(
         for k in range(2):
             if state.truck_on[i, k]:
                 continue
-            r = model.car[i, L.DT] if k == 0 else -model.car[i, L.DT]
-            rx = r * wk[i, L.W_CT]
-            ry = r * wk[i, L.W_ST]
+            r = model.car[i].truck if k == 0 else -model.car[i].truck
+            rx = r * wk[i].ct
+            ry = r * wk[i].st
             ux = v[i, 0] - v[i, 2] * ry
             uy = v[i, 1] + v[i, 2] * rx
             speed = math.sqrt(ux * ux + uy * uy)
-            f = drag(speed, mu, mu, eps, 0.0) * (0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS])
+            f = drag(speed, mu, mu, eps, 0.0) * (0.5 * model.par[0].gravity * model.car[i].mass)
             force[i, 0] -= f * ux
             force[i, 1] -= f * uy
             force[i, 2] -= f * (rx * uy - ry * ux)
@@ -190,10 +191,10 @@ def applied_forces(
         force[i + 1, 2] -= ax * sy - ay * sx
         damper_power += own[S_C] * (rx * rx + ry * ry)
     push_forces(model, state, work, v)
-    work.power[L.E_GROUND_TRUCK] = drag_power
-    work.power[L.E_GROUND_BODY] = 0.0
-    work.power[L.E_COLLISION] = 0.0
-    work.power[L.E_DAMPER] = damper_power
+    work.power[layout.E_GROUND_TRUCK] = drag_power
+    work.power[layout.E_GROUND_BODY] = 0.0
+    work.power[layout.E_COLLISION] = 0.0
+    work.power[layout.E_DAMPER] = damper_power
 
 
 @jit
@@ -215,13 +216,13 @@ def rates(
     ok = factor(model, state, work)
     constraint_gamma(model, state, work, q, v)
     solve(model, state, work, out)
-    state.cnt[L.EVALS] += 1
+    state.cnt[0].evaluations += 1
     return ok
 
 
 @jit
 def stored_energy(
-    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: F64, ang: F64
+    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: Rows, ang: F64
 ) -> tuple[float, float]:
     """Kinetic energy of the cars and energy of the springs, J."""
     keep_separate()
@@ -229,8 +230,8 @@ def stored_energy(
     kinetic = 0.0
     spring = 0.0
     for i in range(q.shape[0]):
-        kinetic += 0.5 * model.car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        kinetic += 0.5 * model.car[i, L.INERTIA] * v[i, 2] * v[i, 2]
+        kinetic += 0.5 * model.car[i].mass * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+        kinetic += 0.5 * model.car[i].inertia * v[i, 2] * v[i, 2]
         if i < q.shape[0] - 1 and linked[i]:
             gx, gy, _, _, _, _, _, _ = _gap(model, q, v, wk, i)
             spring += coupling_energy(gx, gy, own[S_K])
@@ -238,7 +239,7 @@ def stored_energy(
 
 
 @inner_jit
-def _separation(model: Model, q: F64, wk: F64, i: int, j: int) -> tuple[float, float, float]:
+def _separation(model: Model, q: F64, wk: Rows, i: int, j: int) -> tuple[float, float, float]:
     """Overlap (m) of two rectangles and its normal from i to j; not positive when apart."""
     dx = q[j, 0] - q[i, 0]
     dy = q[j, 1] - q[i, 1]
@@ -248,17 +249,17 @@ def _separation(model: Model, q: F64, wk: F64, i: int, j: int) -> tuple[float, f
     for axis in range(4):
         k = i if axis < 2 else j
         if axis % 2 == 0:
-            ax = wk[k, L.W_CT]
-            ay = wk[k, L.W_ST]
+            ax = wk[k].ct
+            ay = wk[k].st
         else:
-            ax = -wk[k, L.W_ST]
-            ay = wk[k, L.W_CT]
+            ax = -wk[k].st
+            ay = wk[k].ct
         along = dx * ax + dy * ay
         reach = 0.0
         for m in range(2):
             b = i if m == 0 else j
-            reach += model.car[b, L.HALF_L] * abs(ax * wk[b, L.W_CT] + ay * wk[b, L.W_ST])
-            reach += model.car[b, L.HALF_W] * abs(ay * wk[b, L.W_CT] - ax * wk[b, L.W_ST])
+            reach += model.car[b].half_l * abs(ax * wk[b].ct + ay * wk[b].st)
+            reach += model.car[b].half_w * abs(ay * wk[b].ct - ax * wk[b].st)
         overlap = reach - abs(along)
         if overlap <= 0.0:
             return overlap, 0.0, 0.0
@@ -284,14 +285,14 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
     wk = work.wk
     hit = False
     for i in range(n):
-        if model.car[i, L.VIRTUAL] != 0.0:
+        if model.car[i].virtual != 0.0:
             continue
         for j in range(i + 1, n):
-            if model.car[j, L.VIRTUAL] != 0.0:
+            if model.car[j].virtual != 0.0:
                 continue
             dx = q[j, 0] - q[i, 0]
             dy = q[j, 1] - q[i, 1]
-            reach = model.car[i, L.RADIUS] + model.car[j, L.RADIUS]
+            reach = model.car[i].radius + model.car[j].radius
             if dx * dx + dy * dy >= reach * reach:
                 continue
             overlap, nx, ny = _separation(model, q, wk, i, j)
@@ -300,18 +301,18 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
             closing = (v[i, 0] - v[j, 0]) * nx + (v[i, 1] - v[j, 1]) * ny
             if closing <= 0.0:
                 continue
-            ax = wk[i, L.W_W] * nx + wk[i, L.W_W + 1] * ny
-            ay = wk[i, L.W_W + 1] * nx + wk[i, L.W_W + 3] * ny
-            at = wk[i, L.W_W + 2] * nx + wk[i, L.W_W + 4] * ny
-            bx = wk[j, L.W_W] * nx + wk[j, L.W_W + 1] * ny
-            by = wk[j, L.W_W + 1] * nx + wk[j, L.W_W + 3] * ny
-            bt = wk[j, L.W_W + 2] * nx + wk[j, L.W_W + 4] * ny
+            ax = wk[i].w_xx * nx + wk[i].w_xy * ny
+            ay = wk[i].w_xy * nx + wk[i].w_yy * ny
+            at = wk[i].w_xt * nx + wk[i].w_yt * ny
+            bx = wk[j].w_xx * nx + wk[j].w_xy * ny
+            by = wk[j].w_xy * nx + wk[j].w_yy * ny
+            bt = wk[j].w_xt * nx + wk[j].w_yt * ny
             w_a = ax * nx + ay * ny
             w_b = bx * nx + by * ny
             p = collision_impulse(closing, w_a, w_b, own[S_E])
             if not p > 0.0:
                 continue
-            state.energy[L.E_COLLISION] += energy_lost(closing, w_a, w_b, own[S_E])
+            state.energy[layout.E_COLLISION] += energy_lost(closing, w_a, w_b, own[S_E])
             v[i, 0] -= p * ax
             v[i, 1] -= p * ay
             v[i, 2] -= p * at
@@ -324,15 +325,15 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
                 if closing > other[me, O_HIT_V]:
                     other[me, O_HIT_V] = closing
                     other[me, O_HIT_OTHER] = (j if c == 0 else i) + 1.0
-                    other[me, O_HIT_T] = state.clock[L.T]
+                    other[me, O_HIT_T] = state.clock[0].t
     return hit
 
 
 @inner_jit
 def _note_derailed(state: State, i: int) -> None:
-    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
-        state.peak[i, L.PK_DERAIL_T] = state.clock[L.T]
-        state.peak[i, L.PK_DERAIL_V] = math.hypot(state.v[i, 0], state.v[i, 1])
+    if math.isnan(state.peak[i].derail_time):
+        state.peak[i].derail_time = state.clock[0].t
+        state.peak[i].derail_speed = math.hypot(state.v[i, 0], state.v[i, 1])
 
 
 @inner_jit
@@ -341,7 +342,7 @@ def _note_free(state: State, linked: U8, other: F64, i: int) -> None:
     free = (i == 0 or linked[i - 1] == 0) and (i == n - 1 or linked[i] == 0)
     off = state.truck_on[i, 0] == 0 or state.truck_on[i, 1] == 0
     if free and off and math.isnan(other[i, O_FREE_T]):
-        other[i, O_FREE_T] = state.clock[L.T]
+        other[i, O_FREE_T] = state.clock[0].t
         other[i, O_FREE_V] = math.hypot(state.v[i, 0], state.v[i, 1])
 
 
@@ -358,18 +359,18 @@ def advance(
     """Step until ``t_target`` or the end of the run."""
     keep_separate()
     n = state.q.shape[0]
-    clock = state.clock
-    cnt = state.cnt
-    par = model.par
-    floor = par[L.H_MIN]
+    clock = state.clock[0]
+    cnt = state.cnt[0]
+    par = model.par[0]
+    floor = par.h_min
     q1 = work.stage_q
     v1 = work.stage_v
-    while clock[L.T] < t_target and cnt[L.STATUS] == L.RUNNING:
-        t = clock[L.T]
-        clock[L.T_ON] = t
+    while clock.t < t_target and cnt.status == layout.RUNNING:
+        t = clock.t
+        clock.t_on = t
         if not rates(model, state, work, own, linked, t, state.q, state.v, work.kv[0]):
             return SINGULAR
-        for k in range(L.N_POWER):
+        for k in range(layout.N_POWER):
             work.kp[0, k] = work.power[k]
         for i in range(n):
             for k in range(5):
@@ -378,7 +379,7 @@ def advance(
             for k in range(2):
                 work.truck_s[i, k] = state.truck_s[i, k]
         switch = min(next_push(model, t), next_application(state, t))
-        h = min(clock[L.H_NEXT], own[S_HMAX])
+        h = min(clock.h_next, own[S_HMAX])
         reaches = False
         if t + h >= switch:
             h = switch - t
@@ -407,10 +408,10 @@ def advance(
                     work.kv[s],
                 ):
                     return SINGULAR
-                for k in range(L.N_POWER):
+                for k in range(layout.N_POWER):
                     work.kp[s, k] = work.power[k]
             error = 0.0
-            rtol = par[L.RTOL]
+            rtol = par.rtol
             for i in range(n):
                 for k in range(3):
                     dq = 0.0
@@ -424,7 +425,7 @@ def advance(
                         ev += RKF[RKF_E, s] * work.kv[s, i, k]
                     q1[i, k] = state.q[i, k] + h * dq
                     v1[i, k] = state.v[i, k] + h * dv
-                    arm = model.car[i, L.GYRATION] if k == 2 else 1.0
+                    arm = model.car[i].gyration if k == 2 else 1.0
                     eq = abs(h * eq) * arm
                     ev = abs(h * ev) * arm / (1.0 + arm * abs(state.v[i, k]))
                     # written so that a nan counts as an error
@@ -438,12 +439,12 @@ def advance(
                 grow = min(2.0, max(0.2, 0.85 * max(error, 1e-10) ** -0.2))
             if ok and error <= 1.0:
                 break
-            cnt[L.REJECTED] += 1
+            cnt.rejected += 1
             h *= min(grow, 0.9)
             reaches = False
             if h < floor:
                 return STEP_FLOOR if ok else NON_FINITE
-        for k in range(L.N_POWER):
+        for k in range(layout.N_POWER):
             total = 0.0
             for s in range(6):
                 total += RKF[RKF_B, s] * work.kp[s, k]
@@ -458,27 +459,27 @@ def advance(
             return SINGULAR
         project_velocities(model, state, work, v1)
         after, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
-        state.energy[L.E_STAB_NET] += after + spring - before
-        state.energy[L.E_STAB_GROSS] += abs(after + spring - before)
-        clock[L.T_PREV] = t
-        clock[L.T] = switch if reaches else t + h
+        state.energy[layout.E_STAB_NET] += after + spring - before
+        state.energy[layout.E_STAB_GROSS] += abs(after + spring - before)
+        clock.t_prev = t
+        clock.t = switch if reaches else t + h
         for i in range(n):
             for k in range(5):
                 state.q[i, k] = q1[i, k]
                 state.v[i, k] = v1[i, k]
-        cnt[L.STEP] += 1
-        clock[L.H_NEXT] = min(max(h * grow, floor), own[S_HMAX])
+        cnt.steps += 1
+        clock.h_next = min(max(h * grow, floor), own[S_HMAX])
 
         # what the rails carry, and what leaves them
-        if not rates(model, state, work, own, linked, clock[L.T], state.q, state.v, state.a):
+        if not rates(model, state, work, own, linked, clock.t, state.q, state.v, state.a):
             return SINGULAR
         for i in range(n):
             for k in range(2):
                 state.rail_force[i, k] = work.lam_t[i, k]
                 if state.truck_on[i, k] and model.track.shape[0] > 0:
                     last = model.track.shape[0] - 1
-                    end = model.track[last, L.TR_S] + model.track[last, L.TR_LEN]
-                    if not model.track[0, L.TR_S] <= state.truck_s[i, k] <= end:
+                    end = model.track[last].s + model.track[last].length
+                    if not model.track[0].s <= state.truck_s[i, k] <= end:
                         return TRACK_END
         moved = False
         for i in range(n):
@@ -492,14 +493,12 @@ def advance(
                     sb = state.breaks[b]
                     if s0 <= sb < s1 or s1 < sb <= s0:
                         passed = True
-                virtual = model.car[i, L.VIRTUAL] != 0.0
+                virtual = model.car[i].virtual != 0.0
                 if passed and virtual:
-                    cnt[L.STATUS] = L.VOID
+                    cnt.status = layout.VOID
                     return DONE
-                quotient = abs(state.rail_force[i, k]) / (
-                    0.5 * par[L.GRAVITY] * model.car[i, L.MASS]
-                )
-                if passed or (quotient > par[L.LV_LIMIT] and not virtual):
+                quotient = abs(state.rail_force[i, k]) / (0.5 * par.gravity * model.car[i].mass)
+                if passed or (quotient > par.lv_limit and not virtual):
                     state.truck_on[i, k] = 0
                     _note_derailed(state, i)
                     moved = True
@@ -515,10 +514,10 @@ def advance(
             sx, sy = coupling_force(gx, gy, rx, ry, own[S_K], own[S_C])
             if sx * sx + sy * sy > own[S_LIMIT] * own[S_LIMIT]:
                 linked[i] = 0
-                state.energy[L.E_KNUCKLE] += coupling_energy(gx, gy, own[S_K])
-                if par[L.VENT] != 0.0:
-                    at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
-                    apply_brakes(model, state, at, True, True, L.ARR_CONV, clock[L.T])
+                state.energy[layout.E_KNUCKLE] += coupling_energy(gx, gy, own[S_K])
+                if par.vent != 0.0:
+                    at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
+                    apply_brakes(model, state, at, True, True, layout.ARR_CONV, clock.t)
         for i in range(n):
             _note_free(state, linked, other, i)
         collide(model, state, work, own, other)
@@ -527,17 +526,17 @@ def advance(
         still = True
         for i in range(n):
             speed = math.sqrt(state.v[i, 0] ** 2 + state.v[i, 1] ** 2)
-            if speed > par[L.REST_V] or abs(state.v[i, 2]) > par[L.REST_W]:
+            if speed > par.rest_speed or abs(state.v[i, 2]) > par.rest_yaw_rate:
                 still = False
         if not still:
-            clock[L.REST_SINCE] = -1.0
-        elif clock[L.REST_SINCE] < 0.0:
-            clock[L.REST_SINCE] = clock[L.T]
-        elif clock[L.T] - clock[L.REST_SINCE] >= par[L.REST_HOLD]:
-            clock[L.DURATION] = clock[L.REST_SINCE]
-            cnt[L.STATUS] = L.AT_REST
-        if cnt[L.STATUS] == L.RUNNING and clock[L.T] >= par[L.T_LIMIT]:
-            cnt[L.STATUS] = L.TIME_LIMIT
+            clock.rest_since = -1.0
+        elif clock.rest_since < 0.0:
+            clock.rest_since = clock.t
+        elif clock.t - clock.rest_since >= par.rest_hold:
+            clock.duration = clock.rest_since
+            cnt.status = layout.AT_REST
+        if cnt.status == layout.RUNNING and clock.t >= par.time_limit:
+            cnt.status = layout.TIME_LIMIT
     return DONE
 
 
@@ -600,12 +599,12 @@ class AndersonModel:
     @property
     def time(self) -> float:
         """s."""
-        return float(self._state.clock[L.T])
+        return float(self._state.clock["t"][0])
 
     @property
     def ended(self) -> bool:
         """No further step will be taken."""
-        return bool(self._state.cnt[L.STATUS] != L.RUNNING)
+        return bool(self._state.cnt["status"][0] != layout.RUNNING)
 
     @property
     def pose(self) -> F64:
@@ -639,7 +638,7 @@ class AndersonModel:
             self._model, self._state, self._work, self._own, self._linked, self._other, t
         )
         if code != DONE:
-            self._state.cnt[L.STATUS] = L.FAILED
+            self._state.cnt["status"][0] = layout.FAILED
             kind, reason = _ERRORS[code]
             raise kind(f"{reason} at t = {self.time:.6f} s")
 
@@ -651,14 +650,7 @@ class AndersonModel:
             "kinetic": kinetic,
             "striker": spring,
             "initial": self._initial,
-            "brakes": float(e[L.E_BRAKE]),
-            "ground_trucks": float(e[L.E_GROUND_TRUCK]),
-            "collisions": float(e[L.E_COLLISION]),
-            "striker_dampers": float(e[L.E_DAMPER]),
-            "knuckles_released": float(e[L.E_KNUCKLE]),
-            "external": float(e[L.E_EXTERNAL]),
-            "stabilization_net": float(e[L.E_STAB_NET]),
-            "stabilization_gross": float(e[L.E_STAB_GROSS]),
+            **{key: float(e[k]) for key, k in WORK_ENTRIES.items() if key != "ground_body"},
         }
         return ledger | {"residual": residual(ledger)}
 
@@ -683,22 +675,24 @@ class AndersonModel:
 
         s, o = self._state, self._other
         off = (s.truck_on == 0).any(axis=1)
-        length, width = (2.0 * self._model.car[:, k] for k in (L.HALF_L, L.HALF_W))
-        corners = car_corners(s.q[:, :3], length, width)
+        car = self._model.car
+        corners = car_corners(s.q[:, :3], 2.0 * car["half_l"], 2.0 * car["half_w"])
         box = scene_box(self.track, corners[off], s.truck_s[off, 0])
         behind = np.flatnonzero(s.truck_on[:, 0])
         behind = behind[behind > (np.flatnonzero(off)[-1] if off.any() else len(off))]
-        status = STATUS[int(s.cnt[L.STATUS])]
+        clock, count = s.clock[0], s.cnt[0]
+        status = STATUS[int(count["status"])]
         return replace(
-            Outcome.nothing(planar(s.q), status, self.time, int(s.cnt[L.STEP])),
-            duration=float(s.clock[L.DURATION]) if status == AT_REST else math.nan,
-            rejected_steps=int(s.cnt[L.REJECTED]),
+            Outcome.nothing(planar(s.q), status, self.time, int(count["steps"])),
+            duration=float(clock["duration"]) if status == AT_REST else math.nan,
+            rejected_steps=int(count["rejected"]),
             derailed_cars=tuple(int(i) + 1 for i in np.flatnonzero(off)),
             scene_length=box[0],
             scene_width=box[1],
             scene_area=box[2],
-            derail_time=s.peak[:, L.PK_DERAIL_T].copy(),
-            derail_speed=s.peak[:, L.PK_DERAIL_V].copy(),
+            max_truck_offset=float(clock["max_offset"]),
+            derail_time=s.peak["derail_time"].copy(),
+            derail_speed=s.peak["derail_speed"].copy(),
             rear_part_first_car=int(behind[0]) + 1 if len(behind) else 0,
             rear_part_coordinate=float(s.truck_s[behind[0], 0]) if len(behind) else math.nan,
             energy=self.energy(),

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
-from derail_ros.engine import packs
+from derail_ros.engine import layout, packs
 from derail_ros.engine.laws.ground import BODY_POINTS
 
 F64 = NDArray[np.float64]
@@ -21,16 +20,21 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 
+Rows = NDArray[np.void]
+"""Rows of a table of ``layout``."""
+
+
 class Model(NamedTuple):
     """Parameters of a run."""
 
-    par: F64  # (N_PAR,)
-    car: F64  # (N, N_CAR)
-    knuckle: F64  # (N-1, N_KN)
-    unit: F64  # (M, N_UNIT)
+    par: Rows  # (1,) PAR
+    car: Rows  # (N,) CAR
+    striker: Rows  # (N, 2) STRIKER
+    knuckle: Rows  # (N-1,) KNUCKLE
+    unit: Rows  # (M,) UNIT
     unit_start: I64  # (N+1,)
-    lateral: F64  # (F, N_LF)
-    track: F64  # (pieces, N_TR)
+    lateral: Rows  # (F,) PUSH
+    track: Rows  # (pieces,) TRACK
     table: F64  # of the integration method
 
 
@@ -59,20 +63,21 @@ class State(NamedTuple):
     energy0: F64  # at the beginning of the last step
     power0: F64
     power1: F64  # at its end, with the constraints of that step
-    clock: F64  # (N_CLOCK,)
-    cnt: I64  # (N_CNT,)
+    clock: Rows  # (1,) CLOCK
+    cnt: Rows  # (1,) COUNT
     built: F64  # (N, 2) places at which the neighbour list was made
     pairs: I64  # (P, 2)
     mask: U8  # (P, 8)
-    pair: F64  # (P, N_PAIR)
-    contact: F64  # (K, N_CONTACT)
-    peak: F64  # (N, N_PEAK)
+    pair: Rows  # (P,) PAIR
+    contact: Rows  # (K,) CONTACT
+    peak: Rows  # (N,) PEAK
 
 
 class Work(NamedTuple):
     """Scratch of the kernels."""
 
-    wk: F64  # (N, N_WORK)
+    wk: Rows  # (N,) WORK
+    row: Rows  # (N, 2) ROW
     ang: F64  # (3, 3 N) angles, sines, cosines
     ground: F64  # (6, 10 N) points on the ground: velocity x, y; place on the axis; load; results
     ground_first: I64  # (N+1,) first of a car's points
@@ -84,23 +89,24 @@ class Work(NamedTuple):
     power: F64  # (N_POWER,)
     mean_power: F64  # over the step
     kp: F64  # (stages, N_POWER)
-    trial: F64  # (N_TRY,) of the step being tried
+    trial: Rows  # (1,) TRIAL
     gamma_t: F64  # (N, 2)
     gamma_c: F64  # (N-1, 2)
     lam_t: F64
     lam_c: F64
     dx: F64  # (N, 5)
     truck_s: F64  # (N, 2) at the beginning of the step
-    event: F64  # (E, N_EVENT)
-    report: F64  # (N or 0, L.N_REPORT)
+    event: Rows  # (E,) EVENT
+    report: F64  # (N or 0, layout.N_REPORT)
     order: I64  # (N,) cars along X
     place: I64  # (N,) and the place of each among them
     pairs: I64  # (P, 2) next neighbour list
     mask: U8
-    pair: F64
+    pair: Rows
+    blank: Rows  # (1,) PAIR, zero
     within_q: F64  # (N, 5) of a pair, at a moment within the last step
     within_v: F64
-    within_wk: F64  # (N, 2) cos and sin of yaw
+    within_wk: Rows
     within_force: F64  # (N, 5)
     active: I64  # (1 + P,) number and rows of the pairs that may touch for now
     placed: F64  # (N, 3) poses when that list was made
@@ -116,7 +122,8 @@ SLOPES = 8
 def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
     """Scratch for ``n`` cars."""
     return Work(
-        wk=np.zeros((n, L.N_WORK)),
+        wk=np.zeros(n, layout.WORK),
+        row=np.zeros((n, 2), layout.ROW),
         ang=np.zeros((3, 3 * n)),
         ground=np.zeros((6, BODY_POINTS * n)),
         ground_first=np.zeros(n + 1, dtype=np.int64),
@@ -125,26 +132,27 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         stage_v=np.zeros((n, 5)),
         kq=np.zeros((SLOPES, n, 5)),
         kv=np.zeros((SLOPES, n, 5)),
-        power=np.zeros(L.N_POWER),
-        mean_power=np.zeros(L.N_POWER),
-        kp=np.zeros((SLOPES, L.N_POWER)),
-        trial=np.zeros(L.N_TRY),
+        power=np.zeros(layout.N_POWER),
+        mean_power=np.zeros(layout.N_POWER),
+        kp=np.zeros((SLOPES, layout.N_POWER)),
+        trial=np.zeros(1, layout.TRIAL),
         gamma_t=np.zeros((n, 2)),
         gamma_c=np.zeros((max(n - 1, 0), 2)),
         lam_t=np.zeros((n, 2)),
         lam_c=np.zeros((max(n - 1, 0), 2)),
         dx=np.zeros((n, 5)),
         truck_s=np.zeros((n, 2)),
-        event=np.zeros((event_rows, L.N_EVENT)),
-        report=np.zeros((n if report else 0, L.N_REPORT)),
+        event=np.zeros(event_rows, layout.EVENT),
+        report=np.zeros((n if report else 0, layout.N_REPORT)),
         order=np.arange(n),
         place=np.zeros(n, dtype=np.int64),
         pairs=np.zeros((pair_rows, 2), dtype=np.int64),
         mask=np.zeros((pair_rows, 8), dtype=np.uint8),
-        pair=np.zeros((pair_rows, L.N_PAIR)),
+        pair=np.zeros(pair_rows, layout.PAIR),
+        blank=np.zeros(1, layout.PAIR),
         within_q=np.zeros((n, 5)),
         within_v=np.zeros((n, 5)),
-        within_wk=np.zeros((n, 2)),
+        within_wk=np.zeros(n, layout.WORK),
         within_force=np.zeros((n, 5)),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
         placed=np.full((n, 3), np.nan),

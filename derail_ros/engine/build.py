@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, State
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
@@ -22,7 +22,9 @@ F64 = NDArray[np.float64]
 SHOES = {"none": 0.0, "composition": 1.0, "cast_iron": 2.0}
 GAP_LAWS = {"gaussian": 0.0, "lorentzian": 1.0}
 STABILIZATIONS = {"projection": 1.0, "baumgarte": 0.0}
-ARRIVALS = dict(zip(BRAKE_MODES, (L.ARR_CONV, L.ARR_INST, L.ARR_TL, L.ARR_INST_TL)))
+ARRIVALS = dict(
+    zip(BRAKE_MODES, (layout.ARR_CONV, layout.ARR_INST, layout.ARR_TL, layout.ARR_INST_TL))
+)
 MAX_CARS = 5000
 
 
@@ -229,53 +231,51 @@ def build_model(params: TrainParams, track: Track) -> Model:
     """The arrays that do not change during a run."""
     p = params
     n = len(p.cars)
-    par = np.zeros(L.N_PAR)
-    par[L.GRAVITY] = GRAVITY
-    par[L.BRAKE_RISE] = p.brakes.rise_time
-    par[L.BRAKE_SPEED] = p.brakes.signal_speed
-    par[L.VENT] = float(p.brakes.vent_on_parting)
-    par[[L.G_CS, L.G_CD, L.G_EPS, L.G_CV, L.G_SCALE]] = (
-        p.ground.c_s,
-        p.ground.c_d,
-        p.ground.eps,
-        p.ground.c_v,
-        p.ground.scale,
-    )
-    c = p.contact
-    par[L.C_FMAX : L.C_LAW + 1] = (
-        c.force_max,
-        c.half_distance,
-        c.buffer,
-        c.c1,
-        c.c2,
-        c.c3,
-        c.begin_force,
-        c.end_force,
-        c.end_hold,
-        GAP_LAWS[c.gap_law],
-    )
-    par[L.LV_LIMIT] = p.derailment.lv_limit
-    par[L.BREAK_FOLLOWS] = float(p.derailment.break_follows_lateral)
-    m = p.integration
-    par[L.RTOL] = m.rtol
-    par[L.PROJECT] = STABILIZATIONS[m.stabilization]
-    par[L.B_VEL] = m.baumgarte_velocity
-    par[L.B_POS] = m.baumgarte_position
-    par[L.LOCATE] = float(m.locate_crossings)
-    par[L.STEP_SHARE] = m.buffer_fraction * c.buffer
-    par[L.H_MAX] = m.max_step
-    par[L.H_MIN] = m.min_step
-    par[L.REST_V] = m.rest_speed
-    par[L.REST_W] = m.rest_yaw_rate
-    par[L.REST_HOLD] = m.rest_hold
-    par[L.T_LIMIT] = m.time_limit
-    par[L.JOINT_HELD] = float(p.variant.held_moment)
-    par[L.WHOLE_CAR] = float(p.variant.whole_car)
-    par[L.COLLIDE] = float(p.variant.collisions)
+    g, c, m, own = p.ground, p.contact, p.integration, p.variant
+    values = {
+        "gravity": GRAVITY,
+        "brake_rise": p.brakes.rise_time,
+        "brake_speed": p.brakes.signal_speed,
+        "vent": p.brakes.vent_on_parting,
+        "ground_cs": g.c_s,
+        "ground_cd": g.c_d,
+        "ground_eps": g.eps,
+        "ground_cv": g.c_v,
+        "ground_scale": g.scale,
+        "force_max": c.force_max,
+        "half_distance": c.half_distance,
+        "buffer": c.buffer,
+        "c1": c.c1,
+        "c2": c.c2,
+        "c3": c.c3,
+        "begin_force": c.begin_force,
+        "end_force": c.end_force,
+        "end_hold": c.end_hold,
+        "gap_law": GAP_LAWS[c.gap_law],
+        "lv_limit": p.derailment.lv_limit,
+        "break_follows": p.derailment.break_follows_lateral,
+        "rtol": m.rtol,
+        "project": STABILIZATIONS[m.stabilization],
+        "baumgarte_v": m.baumgarte_velocity,
+        "baumgarte_q": m.baumgarte_position,
+        "locate": m.locate_crossings,
+        "step_share": m.buffer_fraction * c.buffer,
+        "h_max": m.max_step,
+        "h_min": m.min_step,
+        "rest_speed": m.rest_speed,
+        "rest_yaw_rate": m.rest_yaw_rate,
+        "rest_hold": m.rest_hold,
+        "time_limit": m.time_limit,
+        "joint_held": own.held_moment,
+        "whole_car": own.whole_car,
+        "collide": own.collisions,
+    }
+    par = np.array([tuple(values[name] for name in layout.PAR.names or ())], layout.PAR)
     traction = p.brakes.traction_coefficient * GRAVITY
 
-    car = np.zeros((n, L.N_CAR))
-    units: list[list[float]] = []
+    car = np.zeros(n, layout.CAR)
+    striker = np.zeros((n, 2), layout.STRIKER)
+    units: list[tuple[float, ...]] = []
     unit_start = np.zeros(n + 1, dtype=np.int64)
     number = 1
     distance = 0.0
@@ -291,29 +291,21 @@ def build_model(params: TrainParams, track: Track) -> Model:
             k.coupler_inertia,
             half_l,
             half_w,
+            math.hypot(half_l, half_w),
             k.pivot_distance,
             k.truck_distance,
             k.front.length,
             k.rear.length,
-            k.front.striker_arm,
-            k.front.striker_opening,
-            k.front.k1,
-            k.front.k2,
-            k.front.damping,
-            k.rear.striker_arm,
-            k.rear.striker_opening,
-            k.rear.k1,
-            k.rear.k2,
-            k.rear.damping,
-            math.hypot(half_l, half_w),
-            float(k.represents > 1),
+            k.represents > 1,
             distance,
             math.sqrt(k.inertia / k.mass),
             math.sqrt(k.coupler_inertia / k.mass),
         )
+        for end, e in enumerate((k.front, k.rear)):
+            striker[i, end] = (e.striker_arm, e.striker_opening, e.k1, e.k2, e.damping)
         for j, u in enumerate(k.brakes):
             units.append(
-                [
+                (
                     i,
                     u.distance,
                     p.brakes.force * u.scale,
@@ -321,12 +313,12 @@ def build_model(params: TrainParams, track: Track) -> Model:
                     traction * u.weight if u.shoe != "none" else 0.0,
                     u.delay,
                     number + min(j, k.represents - 1),
-                ]
+                )
             )
         number += k.represents
         unit_start[i + 1] = len(units)
 
-    knuckle = np.zeros((max(n - 1, 0), L.N_KN))
+    knuckle = np.zeros(max(n - 1, 0), layout.KNUCKLE)
     for i in range(n - 1):
         pair = pair_of_heads(p.cars[i].rear.head, p.cars[i + 1].front.head)
         limit = getattr(p.derailment, f"knuckle_limit_{pair.lower()}")
@@ -338,7 +330,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
             top_angle(*POLYNOMIALS[pair][1:]),
         )
 
-    lateral = np.zeros((len(p.initiation.lateral_forces), L.N_LF))
+    lateral = np.zeros(len(p.initiation.lateral_forces), layout.PUSH)
     for j, f in enumerate(p.initiation.lateral_forces):
         d_t = p.cars[f.car - 1].truck_distance
         offset = {"front": d_t, "rear": -d_t, "centre": 0.0}[f.place]
@@ -348,8 +340,9 @@ def build_model(params: TrainParams, track: Track) -> Model:
     return Model(
         par=par,
         car=car,
+        striker=striker,
         knuckle=knuckle,
-        unit=np.array(units, dtype=np.float64).reshape(-1, L.N_UNIT),
+        unit=np.array(units, layout.UNIT),
         unit_start=unit_start,
         lateral=lateral,
         track=track.pieces,
@@ -519,12 +512,12 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
                     f"({track.start:g} to {track.end:g} m)",
                 )
     for row in model.lateral:
-        i, offset, force = int(row[L.LF_CAR]), row[L.LF_OFFSET], row[L.LF_Y]
+        i, offset, force = int(row["car"]), row["offset"], row["fy"]
         c, s = math.cos(q[i, 2]), math.sin(q[i, 2])
         at, _ = track.locate(q[i, 0] + offset * c, q[i, 1] + offset * s, truck_s[i, 0])
         heading = track.point(at)[2]
-        row[L.LF_X] = -math.sin(heading) * force
-        row[L.LF_Y] = math.cos(heading) * force
+        row["fx"] = -math.sin(heading) * force
+        row["fy"] = math.cos(heading) * force
 
     m = len(model.unit)
     breaks = np.full(2 * n + 16 + len(params.track.rail_breaks), math.inf)
@@ -535,15 +528,16 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
             f"{s:g} m lies beyond the alignment ({track.start:g} to {track.end:g} m)",
         )
         breaks[j] = s
-    clock = np.zeros(L.N_CLOCK)
-    clock[L.H_NEXT] = 1e-3
-    clock[L.REST_SINCE] = -1.0
-    clock[L.DURATION] = math.nan
-    peak = np.zeros((n, L.N_PEAK))
-    peak[:, [L.PK_T, L.PK_DERAIL_T, L.PK_DERAIL_V]] = math.nan
+    clock = np.zeros(1, layout.CLOCK)
+    clock["h_next"] = 1e-3
+    clock["rest_since"] = -1.0
+    clock["duration"] = math.nan
+    peak = np.zeros(n, layout.PEAK)
+    for name in ("time", "derail_time", "derail_speed"):
+        peak[name] = math.nan
     for number, _ in start.derailed_trucks:
-        peak[number - 1, L.PK_DERAIL_T] = 0.0
-        peak[number - 1, L.PK_DERAIL_V] = start.speed
+        peak[number - 1]["derail_time"] = 0.0
+        peak[number - 1]["derail_speed"] = start.speed
     zeros = np.zeros((n, 5))
     pair_rows = 16 * n + 64
     return State(
@@ -564,17 +558,17 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
         arrival=np.full((m, 4), math.inf),
         reached=np.zeros(m, dtype=np.uint8),
         breaks=breaks,
-        energy=np.zeros(L.N_ENERGY),
-        power=np.zeros(L.N_POWER),
-        energy0=np.zeros(L.N_ENERGY),
-        power0=np.zeros(L.N_POWER),
-        power1=np.zeros(L.N_POWER),
+        energy=np.zeros(layout.N_ENERGY),
+        power=np.zeros(layout.N_POWER),
+        energy0=np.zeros(layout.N_ENERGY),
+        power0=np.zeros(layout.N_POWER),
+        power1=np.zeros(layout.N_POWER),
         clock=clock,
-        cnt=np.zeros(L.N_CNT, dtype=np.int64),
+        cnt=np.zeros(1, layout.COUNT),
         built=np.full((n, 2), math.nan),
         pairs=np.zeros((pair_rows, 2), dtype=np.int64),
         mask=np.zeros((pair_rows, 8), dtype=np.uint8),
-        pair=np.zeros((pair_rows, L.N_PAIR)),
-        contact=np.zeros((2 * pair_rows, L.N_CONTACT)),
+        pair=np.zeros(pair_rows, layout.PAIR),
+        contact=np.zeros(2 * pair_rows, layout.CONTACT),
         peak=peak,
     )

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.forces.brakes import brake_forces
 from derail_ros.engine.forces.collisions import collision_forces
 from derail_ros.engine.forces.couplers import (
@@ -23,8 +20,6 @@ from derail_ros.engine.forces.track import truck_gamma, truck_rate, truck_rows
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.solver import factor, solve
 from derail_ros.engine.trigonometry import angles
-
-F64 = NDArray[np.float64]
 
 PROJECTED = 1e-10
 """Constraint error at which the projection of positions stops, m."""
@@ -57,7 +52,7 @@ def accelerations(
     if mode != FACTORED:
         angles(q, wk, work.ang)
     for i in range(work.report.shape[0]):
-        for k in range(L.N_REPORT):
+        for k in range(layout.N_REPORT):
             work.report[i, k] = 0.0
     coupler_forces(model, state, work, q, v)
     brake_forces(model, state, work, t, v)
@@ -70,20 +65,16 @@ def accelerations(
         ok = factor(model, state, work)
     if mode == IMPLICIT:
         for i in range(q.shape[0]):
-            if wk[i, L.W_STIFF] != 0.0:
-                sx = wk[i, L.W_SX]
-                sy = wk[i, L.W_SY]
-                sw = wk[i, L.W_SW]
-                force[i, 0] -= wk[i, L.W_C] * sx + wk[i, L.W_C + 1] * sy + wk[i, L.W_C + 2] * sw
-                force[i, 1] -= (
-                    wk[i, L.W_C + 1] * sx + wk[i, L.W_C + 3] * sy + wk[i, L.W_C + 4] * sw
-                )
-                force[i, 2] -= (
-                    wk[i, L.W_C + 2] * sx + wk[i, L.W_C + 4] * sy + wk[i, L.W_C + 5] * sw
-                )
+            if wk[i].stiff != 0.0:
+                sx = wk[i].sx
+                sy = wk[i].sy
+                sw = wk[i].sw
+                force[i, 0] -= wk[i].c_xx * sx + wk[i].c_xy * sy + wk[i].c_xt * sw
+                force[i, 1] -= wk[i].c_xy * sx + wk[i].c_yy * sy + wk[i].c_yt * sw
+                force[i, 2] -= wk[i].c_xt * sx + wk[i].c_yt * sy + wk[i].c_tt * sw
     constraint_gamma(model, state, work, q, v)
     solve(model, state, work, out)
-    state.cnt[L.EVALS] += 1
+    state.cnt[0].evaluations += 1
     return ok
 
 
@@ -95,7 +86,7 @@ def constraint_error(model: Model, state: State, work: Work, q: F64) -> tuple[fl
     for i in range(q.shape[0]):
         for k in range(2):
             if state.truck_on[i, k]:
-                offset = max(offset, abs(work.wk[i, L.W_OFF + k]))
+                offset = max(offset, abs(work.row[i, k].offset))
         if i < q.shape[0] - 1 and state.coupled[i]:
             gx, gy = coupling_gap(model.car, q, work.wk, i)
             gap = max(gap, math.sqrt(gx * gx + gy * gy))
@@ -141,7 +132,7 @@ def onto_constraints(model: Model, state: State, work: Work, q: F64, reuse: bool
         for i in range(n):
             for k in range(2):
                 if state.truck_on[i, k]:
-                    work.gamma_t[i, k] = -wk[i, L.W_OFF + k]
+                    work.gamma_t[i, k] = -work.row[i, k].offset
             if i < n - 1 and state.coupled[i]:
                 gx, gy = coupling_gap(model.car, q, wk, i)
                 work.gamma_c[i, 0] = -gx
@@ -168,7 +159,7 @@ def project_velocities(model: Model, state: State, work: Work, v: F64) -> None:
     for i in range(n):
         for k in range(2):
             if state.truck_on[i, k]:
-                work.gamma_t[i, k] = -truck_rate(v, work.wk, i, k)
+                work.gamma_t[i, k] = -truck_rate(v, work.row, i, k)
         if i < n - 1 and state.coupled[i]:
             gx, gy = coupling_rate(model.car, v, work.wk, i)
             work.gamma_c[i, 0] = -gx

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
-
-F64 = NDArray[np.float64]
 
 
 @jit
@@ -20,9 +15,9 @@ def kinetic_energy(model: Model, v: F64) -> float:
     car = model.car
     for i in range(v.shape[0]):
         total += 0.5 * (
-            car[i, L.MASS] * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-            + car[i, L.INERTIA] * v[i, 2] * v[i, 2]
-            + car[i, L.IC] * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
+            car[i].mass * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+            + car[i].inertia * v[i, 2] * v[i, 2]
+            + car[i].coupler_inertia * (v[i, 3] * v[i, 3] + v[i, 4] * v[i, 4])
         )
     return total
 
@@ -41,16 +36,16 @@ def energy_residual(model: Model, state: State) -> float:
     striker, knuckle = coupler_energy(model, state.coupled, state.q)
     e = state.energy
     return (
-        state.clock[L.E_INITIAL]
-        + e[L.E_EXTERNAL]
-        + e[L.E_STAB_NET]
+        state.clock[0].initial_energy
+        + e[layout.E_EXTERNAL]
+        + e[layout.E_STAB_NET]
         - kinetic_energy(model, state.v)
         - striker
         - knuckle
-        - e[L.E_BRAKE]
-        - e[L.E_GROUND_TRUCK]
-        - e[L.E_GROUND_BODY]
-        - e[L.E_COLLISION]
-        - e[L.E_DAMPER]
-        - e[L.E_KNUCKLE]
+        - e[layout.E_BRAKE]
+        - e[layout.E_GROUND_TRUCK]
+        - e[layout.E_GROUND_BODY]
+        - e[layout.E_COLLISION]
+        - e[layout.E_DAMPER]
+        - e[layout.E_KNUCKLE]
     )

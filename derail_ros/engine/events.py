@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.contacts import end_contact
 from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.forces.couplers import coupler_energy
@@ -16,8 +13,6 @@ from derail_ros.engine.forces.track import break_passed, breaks_in_use, truck_ar
 from derail_ros.engine.interpolation import LOCATED
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.vocabulary.events import EventKind
-
-F64 = NDArray[np.float64]
 
 TRUCK_DERAILED = int(EventKind.TRUCK_DERAILED)
 COUPLER_PARTED = int(EventKind.COUPLER_PARTED)
@@ -53,25 +48,24 @@ def add_event(
 ) -> None:
     """Append a row to the event buffer, kept in the order of time."""
     keep_separate()
-    k = state.cnt[L.N_EVENTS]
-    while k > 0 and work.event[k - 1, L.V_TIME] > t:
-        for c in range(L.N_EVENT):
-            work.event[k, c] = work.event[k - 1, c]
+    k = state.cnt[0].events
+    while k > 0 and work.event[k - 1].time > t:
+        work.event[k] = work.event[k - 1]
         k -= 1
     row = work.event[k]
-    row[L.V_KIND] = kind
-    row[L.V_TIME] = t
-    row[L.V_CAR] = car
-    row[L.V_CAR2] = car2
-    row[L.V_END] = end
-    row[L.V_CAUSE] = cause
-    row[L.V_X] = x
-    row[L.V_Y] = y
-    row[L.V_S] = s
-    row[L.V_SPEED] = speed
-    row[L.V_VALUE] = value
-    row[L.V_STEP] = state.cnt[L.STEP]
-    state.cnt[L.N_EVENTS] += 1
+    row.kind = kind
+    row.time = t
+    row.car = car
+    row.car2 = car2
+    row.end = end
+    row.cause = cause
+    row.x = x
+    row.y = y
+    row.s = s
+    row.speed = speed
+    row.value = value
+    row.step = state.cnt[0].steps
+    state.cnt[0].events += 1
 
 
 @inner_jit
@@ -80,13 +74,13 @@ def _derail_truck(
 ) -> None:
     """Take a truck off the rails, with its event."""
     keep_separate()
-    t = state.clock[L.T]
+    t = state.clock[0].t
     state.truck_on[i, k] = 0
     r = truck_arm(model.car, i, k)
     speed = speed_of(state.v, i)
-    if math.isnan(state.peak[i, L.PK_DERAIL_T]):
-        state.peak[i, L.PK_DERAIL_T] = t
-        state.peak[i, L.PK_DERAIL_V] = speed
+    if math.isnan(state.peak[i].derail_time):
+        state.peak[i].derail_time = t
+        state.peak[i].derail_speed = speed
     add_event(
         state, work, TRUCK_DERAILED, t, i + 1, 0, k + 1, cause,
         state.q[i, 0] + r * math.cos(state.q[i, 2]), state.q[i, 1] + r * math.sin(state.q[i, 2]),
@@ -100,22 +94,22 @@ def _part_coupling(
 ) -> None:
     """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
     keep_separate()
-    t = state.clock[L.T]
+    t = state.clock[0].t
     before = coupler_energy(model, state.coupled, state.q)
     state.coupled[i] = 0
     after = coupler_energy(model, state.coupled, state.q)
-    state.energy[L.E_KNUCKLE] += before[1] - after[1]
-    arm = model.car[i, L.DP]
-    reach = model.car[i, L.DCR]
+    state.energy[layout.E_KNUCKLE] += before[1] - after[1]
+    arm = model.car[i].pivot
+    reach = model.car[i].rear
     x = state.q[i, 0] - arm * math.cos(state.q[i, 2]) - reach * math.cos(state.q[i, 4])
     y = state.q[i, 1] - arm * math.sin(state.q[i, 2]) - reach * math.sin(state.q[i, 4])
     speed = speed_of(state.v, i)
     add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
-    if model.par[L.VENT] != 0.0:
-        at = 0.5 * (model.car[i, L.DIST] + model.car[i + 1, L.DIST])
-        apply_brakes(model, state, at, True, True, L.ARR_CONV, t)
+    if model.par[0].vent != 0.0:
+        at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
+        apply_brakes(model, state, at, True, True, layout.ARR_CONV, t)
         add_event(
-            state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, L.CAUSE_VENT, x, y, math.nan,
+            state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, layout.CAUSE_VENT, x, y, math.nan,
             speed, at,
         )  # fmt: skip
 
@@ -126,9 +120,9 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
     keep_separate()
     changed = False
     n = state.q.shape[0]
-    weight = 0.5 * model.par[L.GRAVITY]
+    weight = 0.5 * model.par[0].gravity
     for i in range(n):
-        virtual = model.car[i, L.VIRTUAL] != 0.0
+        virtual = model.car[i].virtual != 0.0
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
@@ -136,36 +130,36 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             passed = break_passed(state, work, i, k)
             if not math.isnan(passed):
                 if virtual:
-                    state.cnt[L.STATUS] = L.VOID
+                    state.cnt[0].status = layout.VOID
                     add_event(
-                        state, work, RUN_VOID, state.clock[L.T], i + 1, 0, k + 1, L.CAUSE_BREAK,
-                        state.q[i, 0], state.q[i, 1], s1,
+                        state, work, RUN_VOID, state.clock[0].t, i + 1, 0, k + 1,
+                        layout.CAUSE_BREAK, state.q[i, 0], state.q[i, 1], s1,
                         speed_of(state.v, i), passed,
                     )  # fmt: skip
                     return changed
-                _derail_truck(model, state, work, i, k, L.CAUSE_BREAK, passed)
-                if model.par[L.WHOLE_CAR] != 0.0 and state.truck_on[i, 1 - k]:
-                    _derail_truck(model, state, work, i, 1 - k, L.CAUSE_BREAK, passed)
+                _derail_truck(model, state, work, i, k, layout.CAUSE_BREAK, passed)
+                if model.par[0].whole_car != 0.0 and state.truck_on[i, 1 - k]:
+                    _derail_truck(model, state, work, i, 1 - k, layout.CAUSE_BREAK, passed)
                 changed = True
                 continue
             if virtual:
                 continue
-            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i, L.MASS])
-            if quotient > model.par[L.LV_LIMIT]:
-                _derail_truck(model, state, work, i, k, L.CAUSE_LATERAL, quotient)
+            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i].mass)
+            if quotient > model.par[0].lv_limit:
+                _derail_truck(model, state, work, i, k, layout.CAUSE_LATERAL, quotient)
                 changed = True
-                if model.par[L.BREAK_FOLLOWS] != 0.0:
+                if model.par[0].break_follows != 0.0:
                     breaks = breaks_in_use(state)
                     if breaks < state.breaks.shape[0]:
                         state.breaks[breaks] = s1
                     add_event(
-                        state, work, RAIL_BREAK_SET, state.clock[L.T], i + 1, 0, k + 1,
-                        L.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
+                        state, work, RAIL_BREAK_SET, state.clock[0].t, i + 1, 0, k + 1,
+                        layout.CAUSE_LATERAL, math.nan, math.nan, s1, math.nan, quotient,
                     )  # fmt: skip
         if i < n - 1 and state.coupled[i]:
             angle = abs(state.q[i, 4] - state.q[i + 1, 3])
-            if angle >= model.knuckle[i, L.KN_LIMIT] - LOCATED:
-                _part_coupling(model, state, work, i, L.CAUSE_ANGLE, angle)
+            if angle >= model.knuckle[i].limit - LOCATED:
+                _part_coupling(model, state, work, i, layout.CAUSE_ANGLE, angle)
                 changed = True
     return changed
 
@@ -174,8 +168,8 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
 def note_progress(model: Model, state: State, work: Work) -> None:
     """Events of the brakes and of cars that come to rest, and the end of the run."""
     keep_separate()
-    t = state.clock[L.T]
-    par = model.par
+    t = state.clock[0].t
+    par = model.par[0]
     for u in range(state.arrival.shape[0]):
         if state.reached[u]:
             continue
@@ -184,41 +178,41 @@ def note_progress(model: Model, state: State, work: Work) -> None:
             arrival = min(arrival, state.arrival[u, k])
         if arrival <= t:
             state.reached[u] = 1
-            i = int(model.unit[u, L.U_BODY])
+            i = int(model.unit[u].body)
             add_event(
-                state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u, L.U_NUMBER]), 0, 0,
-                L.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
-                speed_of(state.v, i), model.unit[u, L.U_DIST],
+                state, work, BRAKE_SIGNAL_REACHED, arrival, int(model.unit[u].number), 0, 0,
+                layout.CAUSE_SIGNAL, state.q[i, 0], state.q[i, 1], math.nan,
+                speed_of(state.v, i), model.unit[u].distance,
             )  # fmt: skip
     resting = True
     for i in range(state.q.shape[0]):
         speed = speed_of(state.v, i)
         rate = abs(state.v[i, 2])
-        if not (speed < par[L.REST_V] and rate < par[L.REST_W]):
+        if not (speed < par.rest_speed and rate < par.rest_yaw_rate):
             resting = False
-            if speed > 3.0 * par[L.REST_V] or rate > 3.0 * par[L.REST_W]:
-                state.peak[i, L.PK_RESTING] = 0.0
-        elif state.peak[i, L.PK_RESTING] == 0.0:
-            state.peak[i, L.PK_RESTING] = 1.0
+            if speed > 3.0 * par.rest_speed or rate > 3.0 * par.rest_yaw_rate:
+                state.peak[i].resting = 0.0
+        elif state.peak[i].resting == 0.0:
+            state.peak[i].resting = 1.0
             add_event(
-                state, work, CAR_AT_REST, t, i + 1, 0, 0, L.CAUSE_NONE, state.q[i, 0],
+                state, work, CAR_AT_REST, t, i + 1, 0, 0, layout.CAUSE_NONE, state.q[i, 0],
                 state.q[i, 1], math.nan, speed, math.nan,
             )  # fmt: skip
     if not resting:
-        state.clock[L.REST_SINCE] = -1.0
-    elif state.clock[L.REST_SINCE] < 0.0:
-        state.clock[L.REST_SINCE] = t
-    elif t - state.clock[L.REST_SINCE] >= par[L.REST_HOLD] and state.cnt[L.STATUS] == L.RUNNING:
-        state.cnt[L.STATUS] = L.AT_REST
-        state.clock[L.DURATION] = state.clock[L.REST_SINCE]
-    if t >= par[L.T_LIMIT] and state.cnt[L.STATUS] == L.RUNNING:
-        state.cnt[L.STATUS] = L.TIME_LIMIT
-        state.clock[L.DURATION] = t
-    if state.cnt[L.STATUS] != L.RUNNING:
-        for p in range(state.cnt[L.N_PAIRS]):
-            if state.pair[p, L.P_ID] >= 0.0:
+        state.clock[0].rest_since = -1.0
+    elif state.clock[0].rest_since < 0.0:
+        state.clock[0].rest_since = t
+    elif t - state.clock[0].rest_since >= par.rest_hold and state.cnt[0].status == layout.RUNNING:
+        state.cnt[0].status = layout.AT_REST
+        state.clock[0].duration = state.clock[0].rest_since
+    if t >= par.time_limit and state.cnt[0].status == layout.RUNNING:
+        state.cnt[0].status = layout.TIME_LIMIT
+        state.clock[0].duration = t
+    if state.cnt[0].status != layout.RUNNING:
+        for p in range(state.cnt[0].pairs):
+            if state.pair[p].contact >= 0.0:
                 end_contact(state, p, t)
         add_event(
-            state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[L.STATUS], math.nan, math.nan, math.nan,
-            math.nan, state.clock[L.DURATION],
+            state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[0].status, math.nan, math.nan, math.nan,
+            math.nan, state.clock[0].duration,
         )  # fmt: skip

@@ -23,18 +23,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import Model, Rows, State, Work
 from derail_ros.engine.forces.brakes import LARGEST_BRAKING, brake_damping
 from derail_ros.engine.forces.ground import ground_damping, largest_drag
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.solver import plain_mass
 from derail_ros.engine.trigonometry import angles
-
-F64 = NDArray[np.float64]
 
 STIFF = 0.5
 """Friction is taken implicitly where a step times its fastest rate exceeds this."""
@@ -51,31 +45,35 @@ def friction_damping(model: Model, state: State, work: Work, h: float) -> bool:
     wk = work.wk
     car = model.car
     v = state.v
-    eps = model.par[L.G_EPS]
+    eps = model.par[0].ground_eps
     some = False
     for i in range(v.shape[0]):
         # a bound on the rate of the friction at the slowest point of the car
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        slowest = max(0.0, speed - abs(v[i, 2]) * car[i, L.HALF_L])
+        slowest = max(0.0, speed - abs(v[i, 2]) * car[i].half_l)
         bound = LARGEST_BRAKING + largest_drag(model, state, i)
-        wk[i, L.W_STIFF] = 0.0
+        wk[i].stiff = 0.0
         if h * bound > STIFF * math.sqrt(slowest * slowest + eps * eps):
-            wk[i, L.W_STIFF] = 1.0
+            wk[i].stiff = 1.0
             some = True
-            for k in range(6):
-                wk[i, L.W_C + k] = 0.0
+            wk[i].c_xx = 0.0
+            wk[i].c_xy = 0.0
+            wk[i].c_xt = 0.0
+            wk[i].c_yy = 0.0
+            wk[i].c_yt = 0.0
+            wk[i].c_tt = 0.0
     if not some:
         return False
-    brake_damping(model, state, work, state.clock[L.T], v)
+    brake_damping(model, state, work, state.clock[0].t, v)
     ground_damping(model, state, work, v)
     some = False
     for i in range(v.shape[0]):
-        if wk[i, L.W_STIFF] != 0.0:
+        if wk[i].stiff != 0.0:
             # the largest rate is below the trace
-            rate = (wk[i, L.W_C] + wk[i, L.W_C + 3]) / car[i, L.MASS]
-            rate += wk[i, L.W_C + 5] / car[i, L.INERTIA]
+            rate = (wk[i].c_xx + wk[i].c_yy) / car[i].mass
+            rate += wk[i].c_tt / car[i].inertia
             if h * rate <= STIFF:
-                wk[i, L.W_STIFF] = 0.0
+                wk[i].stiff = 0.0
             else:
                 some = True
     return some
@@ -101,49 +99,49 @@ def longest_stable(model: Model, state: State, work: Work, h: float, bound: floa
         return h
     fastest = 0.0
     for i in range(wk.shape[0]):
-        if wk[i, L.W_STIFF] == 0.0:
+        if wk[i].stiff == 0.0:
             continue
-        wk[i, L.W_STIFF] = 0.0
-        root = math.sqrt(car[i, L.MASS] * car[i, L.INERTIA])
-        xy = abs(wk[i, L.W_C + 1]) / car[i, L.MASS]
-        xt = abs(wk[i, L.W_C + 2]) / root
-        yt = abs(wk[i, L.W_C + 4]) / root
-        fastest = max(fastest, wk[i, L.W_C] / car[i, L.MASS] + xy + xt)
-        fastest = max(fastest, xy + wk[i, L.W_C + 3] / car[i, L.MASS] + yt)
-        fastest = max(fastest, xt + yt + wk[i, L.W_C + 5] / car[i, L.INERTIA])
+        wk[i].stiff = 0.0
+        root = math.sqrt(car[i].mass * car[i].inertia)
+        xy = abs(wk[i].c_xy) / car[i].mass
+        xt = abs(wk[i].c_xt) / root
+        yt = abs(wk[i].c_yt) / root
+        fastest = max(fastest, wk[i].c_xx / car[i].mass + xy + xt)
+        fastest = max(fastest, xy + wk[i].c_yy / car[i].mass + yt)
+        fastest = max(fastest, xt + yt + wk[i].c_tt / car[i].inertia)
     return min(h, 0.9 * bound / fastest)
 
 
 @inner_jit
-def implicit_masses(car: F64, wk: F64, factor_h: float) -> None:
+def implicit_masses(car: Rows, wk: Rows, factor_h: float) -> None:
     """Inverse of ``M + factor_h C`` of the stiff cars into ``wk``."""
     for i in range(wk.shape[0]):
-        if wk[i, L.W_STIFF] == 0.0:
+        if wk[i].stiff == 0.0:
             continue
-        xx = car[i, L.MASS] + factor_h * wk[i, L.W_C]
-        xy = factor_h * wk[i, L.W_C + 1]
-        xt = factor_h * wk[i, L.W_C + 2]
-        yy = car[i, L.MASS] + factor_h * wk[i, L.W_C + 3]
-        yt = factor_h * wk[i, L.W_C + 4]
-        tt = car[i, L.INERTIA] + factor_h * wk[i, L.W_C + 5]
+        xx = car[i].mass + factor_h * wk[i].c_xx
+        xy = factor_h * wk[i].c_xy
+        xt = factor_h * wk[i].c_xt
+        yy = car[i].mass + factor_h * wk[i].c_yy
+        yt = factor_h * wk[i].c_yt
+        tt = car[i].inertia + factor_h * wk[i].c_tt
         a = yy * tt - yt * yt
         b = xt * yt - xy * tt
         c = xy * yt - xt * yy
         det = xx * a + xy * b + xt * c
-        wk[i, L.W_M] = a / det
-        wk[i, L.W_M + 1] = b / det
-        wk[i, L.W_M + 2] = c / det
-        wk[i, L.W_M + 3] = (xx * tt - xt * xt) / det
-        wk[i, L.W_M + 4] = (xy * xt - xx * yt) / det
-        wk[i, L.W_M + 5] = (xx * yy - xy * xy) / det
+        wk[i].m_xx = a / det
+        wk[i].m_xy = b / det
+        wk[i].m_xt = c / det
+        wk[i].m_yy = (xx * tt - xt * xt) / det
+        wk[i].m_yt = (xy * xt - xx * yt) / det
+        wk[i].m_tt = (xx * yy - xy * xy) / det
 
 
 @inner_jit
-def restore_masses(car: F64, wk: F64) -> None:
+def restore_masses(car: Rows, wk: Rows) -> None:
     """Inverse of ``M`` of the stiff cars into ``wk``, to the bit as ``plain_masses`` has it.
 
     A run that goes on from a saved state begins with those.
     """
     for i in range(wk.shape[0]):
-        if wk[i, L.W_STIFF] != 0.0:
+        if wk[i].stiff != 0.0:
             plain_mass(car, wk, i)

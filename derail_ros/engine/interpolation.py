@@ -8,14 +8,9 @@ of that step.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import State
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, State
 from derail_ros.engine.jit import inner_jit, jit
-
-F64 = NDArray[np.float64]
 
 
 @jit
@@ -42,8 +37,8 @@ def hermite(
 @jit
 def interpolate(state: State, t: float, q: F64, v: F64, a: F64) -> None:
     """Coordinates, velocities and accelerations at ``t`` within the last step."""
-    t0 = state.clock[L.T_PREV]
-    h = state.clock[L.T] - t0
+    t0 = state.clock[0].t_prev
+    h = state.clock[0].t - t0
     x = (t - t0) / h
     for i in range(q.shape[0]):
         for k in range(5):
@@ -56,12 +51,12 @@ def interpolate(state: State, t: float, q: F64, v: F64, a: F64) -> None:
 @jit
 def interpolate_energy(state: State, t: float, out: F64) -> None:
     """Work entries of the ledger at ``t`` within the last step, J."""
-    t0 = state.clock[L.T_PREV]
-    h = state.clock[L.T] - t0
+    t0 = state.clock[0].t_prev
+    h = state.clock[0].t - t0
     x = (t - t0) / h
     y = 1.0 - x
-    for k in range(L.N_ENERGY):
-        if k < L.N_POWER:
+    for k in range(layout.N_ENERGY):
+        if k < layout.N_POWER:
             out[k] = (
                 state.energy0[k] * (1.0 + 2.0 * x) * y * y
                 + h * state.power0[k] * x * y * y

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-from derail_ros.engine import layout as L
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.contacts import end_contact, remember_walls
 from derail_ros.engine.forces.collisions import clear, pair_frames, within
@@ -22,7 +21,7 @@ MARGIN = 3.0
 @inner_jit
 def list_is_stale(model: Model, state: State) -> bool:
     """A car has moved far enough since the list was made that a pair could be missing."""
-    limit = 0.5 * MARGIN - model.par[L.STEP_SHARE]
+    limit = 0.5 * MARGIN - model.par[0].step_share
     limit *= limit
     for i in range(state.q.shape[0]):
         dx = state.q[i, 0] - state.built[i, 0]
@@ -46,13 +45,13 @@ def refresh_active(model: Model, state: State, work: Work) -> None:
     keep_separate()
     q = state.q
     placed = work.placed
-    share = model.par[L.STEP_SHARE]
+    share = model.par[0].step_share
     n = q.shape[0]
     fresh = True
     for i in range(n):
         dx = q[i, 0] - placed[i, 0]
         dy = q[i, 1] - placed[i, 1]
-        moved = math.sqrt(dx * dx + dy * dy) + model.car[i, L.RADIUS] * abs(q[i, 2] - placed[i, 2])
+        moved = math.sqrt(dx * dx + dy * dy) + model.car[i].radius * abs(q[i, 2] - placed[i, 2])
         # half a list's life for the step that comes
         if not moved <= 0.5 * ACTIVE * share:
             fresh = False
@@ -66,18 +65,18 @@ def refresh_active(model: Model, state: State, work: Work) -> None:
     pair = state.pair
     angles(q, wk, work.ang)
     # at the corners of its buffer a body reaches sqrt(2) times as far
-    room = 1.5 * model.par[L.C_BUFFER] + 2.0 * ACTIVE * share
+    room = 1.5 * model.par[0].buffer + 2.0 * ACTIVE * share
     count = 0
-    for p in range(state.cnt[L.N_PAIRS]):
+    for p in range(state.cnt[0].pairs):
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
-        seen = pair_frames(q, i, j, wk[i, L.W_CT], wk[i, L.W_ST], wk[j, L.W_CT], wk[j, L.W_ST])
+        seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
         if within(model.car, i, j, seen, room):
             count += 1
             work.active[count] = p
         else:
             clear(pair, p)
-            pair[p, L.P_NEAR] = 0.0
+            pair[p].near = 0.0
     work.active[0] = count
 
 
@@ -105,24 +104,24 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     largest = 0.0
     for a in range(n):
         place[order[a]] = a
-        largest = max(largest, model.car[a, L.RADIUS])
-    room = model.par[L.C_BUFFER] + MARGIN
+        largest = max(largest, model.car[a].radius)
+    room = model.par[0].buffer + MARGIN
     count = 0
-    old_count = state.cnt[L.N_PAIRS]
+    old_count = state.cnt[0].pairs
     old = 0
     for i in range(n):
-        if model.car[i, L.VIRTUAL] != 0.0 or model.par[L.COLLIDE] == 0.0:
+        if model.car[i].virtual != 0.0 or model.par[0].collide == 0.0:
             continue
         first = count
-        reach = model.car[i, L.RADIUS] + largest + room
+        reach = model.car[i].radius + largest + room
         for direction in (-1, 1):
             a = place[i] + direction
             while 0 <= a < n and abs(q[order[a], 0] - q[i, 0]) <= reach:
                 j = order[a]
                 a += direction
-                if j <= i or model.car[j, L.VIRTUAL] != 0.0:
+                if j <= i or model.car[j].virtual != 0.0:
                     continue
-                r = model.car[i, L.RADIUS] + model.car[j, L.RADIUS] + room
+                r = model.car[i].radius + model.car[j].radius + room
                 dx = q[i, 0] - q[j, 0]
                 dy = q[i, 1] - q[j, 1]
                 if dx * dx + dy * dy > r * r:
@@ -143,24 +142,22 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
         while old < old_count and (
             state.pairs[old, 0] < i or (state.pairs[old, 0] == i and state.pairs[old, 1] < j)
         ):
-            if state.pair[old, L.P_ID] >= 0.0:
-                end_contact(state, old, state.clock[L.T])
+            if state.pair[old].contact >= 0.0:
+                end_contact(state, old, state.clock[0].t)
             old += 1
         if old < old_count and state.pairs[old, 0] == i and state.pairs[old, 1] == j:
             for k in range(8):
                 work.mask[p, k] = state.mask[old, k]
-            for k in range(L.N_PAIR):
-                work.pair[p, k] = state.pair[old, k]
+            work.pair[p] = state.pair[old]
             old += 1
         else:
             for k in range(8):
                 work.mask[p, k] = 0
-            for k in range(L.N_PAIR):
-                work.pair[p, k] = 0.0
-            work.pair[p, L.P_ID] = -2.0  # new: its walls are looked up below
+            work.pair[p] = work.blank[0]
+            work.pair[p].contact = -2.0  # new: its walls are looked up below
     while old < old_count:
-        if state.pair[old, L.P_ID] >= 0.0:
-            end_contact(state, old, state.clock[L.T])
+        if state.pair[old].contact >= 0.0:
+            end_contact(state, old, state.clock[0].t)
         old += 1
     for p in range(count):
         i = work.pairs[p, 0]
@@ -169,11 +166,10 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
         state.pairs[p, 1] = j
         for k in range(8):
             state.mask[p, k] = work.mask[p, k]
-        for k in range(L.N_PAIR):
-            state.pair[p, k] = work.pair[p, k]
-        if state.pair[p, L.P_ID] == -2.0:
-            state.pair[p, L.P_ID] = -1.0
-            state.pair[p, L.P_BELOW] = -1.0
+        state.pair[p] = work.pair[p]
+        if state.pair[p].contact == -2.0:
+            state.pair[p].contact = -1.0
+            state.pair[p].below = -1.0
             remember_walls(model.car, q, state.mask, p, i, j, True)
         work.active[1 + p] = p
     for i in range(n):
@@ -181,6 +177,6 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
         state.built[i, 1] = q[i, 1]
         work.placed[i, 0] = math.nan
     work.active[0] = count
-    state.cnt[L.N_PAIRS] = count
-    state.cnt[L.REBUILDS] += 1
+    state.cnt[0].pairs = count
+    state.cnt[0].rebuilds += 1
     return True

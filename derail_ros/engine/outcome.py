@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derail_ros.engine import layout as L
 from derail_ros.engine.sampling import ledger
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.sample import planar
@@ -21,50 +20,50 @@ if TYPE_CHECKING:
 def make_outcome(run: PlanarSimulation) -> Outcome:
     """The outcome of a run as it stands."""
     state, model = run._state, run._model
-    clock, cnt, peak = state.clock, state.cnt, state.peak
+    clock, cnt, peak = state.clock[0], state.cnt[0], state.peak
     off = (state.truck_on == 0).any(axis=1)
     derailed = tuple(int(i) + 1 for i in np.flatnonzero(off))
     pose = planar(state.q)
-    corners = car_corners(pose, 2.0 * model.car[:, L.HALF_L], 2.0 * model.car[:, L.HALF_W])
+    corners = car_corners(pose, 2.0 * model.car["half_l"], 2.0 * model.car["half_w"])
     length, width, area = scene_box(run.track, corners[off], state.truck_s[off, 0])
 
-    contacts = state.contact[: int(cnt[L.N_CONTACTS])]
+    contacts = state.contact[: int(cnt["contacts"])]
     pair = None
     force, when, resultant = 0.0, math.nan, 0.0
     if len(contacts):
-        top = contacts[int(np.argmax(contacts[:, L.K_PEAK]))]
-        force, when = float(top[L.K_PEAK]), float(top[L.K_PEAK_T])
-        pair = (int(top[L.K_A]), int(top[L.K_B]))
-        resultant = float(contacts[:, L.K_RES].max())
+        top = contacts[int(np.argmax(contacts["peak"]))]
+        force, when = float(top["peak"]), float(top["peak_time"])
+        pair = (int(top["a"]), int(top["b"]))
+        resultant = float(contacts["resultant"].max())
 
     behind = range(derailed[-1], run.n_cars) if derailed else range(0)
     rear = next((i for i in behind if state.truck_on[i, 0]), None)
-    initial = float(clock[L.E_INITIAL])
+    initial = float(clock["initial_energy"])
     return Outcome(
         status=run.status,
         time=run.time,
-        duration=float(clock[L.DURATION]) if run.status == AT_REST else math.nan,
-        steps=int(cnt[L.STEP]),
-        rejected_steps=int(cnt[L.REJECTED]),
+        duration=float(clock["duration"]) if run.status == AT_REST else math.nan,
+        steps=int(cnt["steps"]),
+        rejected_steps=int(cnt["rejected"]),
         derailed_cars=derailed,
         peak_force=force,
         peak_force_pair=pair,
         peak_force_time=when,
         peak_resultant=resultant,
-        car_peak_force=peak[:, L.PK_F].copy(),
-        car_peak_time=peak[:, L.PK_T].copy(),
-        car_peak_other=peak[:, L.PK_OTHER].astype(np.int64),
+        car_peak_force=peak["force"].copy(),
+        car_peak_time=peak["time"].copy(),
+        car_peak_other=peak["other"].astype(np.int64),
         scene_length=length,
         scene_width=width,
         scene_area=area,
-        max_coupler_gap=float(clock[L.MAX_GAP]),
-        max_truck_offset=float(clock[L.MAX_OFFSET]),
-        derail_time=peak[:, L.PK_DERAIL_T].copy(),
-        derail_speed=peak[:, L.PK_DERAIL_V].copy(),
+        max_coupler_gap=float(clock["max_gap"]),
+        max_truck_offset=float(clock["max_offset"]),
+        derail_time=peak["derail_time"].copy(),
+        derail_speed=peak["derail_speed"].copy(),
         pose=pose,
         rear_part_first_car=0 if rear is None else rear + 1,
         rear_part_coordinate=math.nan if rear is None else float(state.truck_s[rear, 0]),
         energy=ledger(model, initial, state.energy, state.coupled, state.q, state.v),
-        energy_residual=float(clock[L.MAX_RESIDUAL]),
+        energy_residual=float(clock["max_residual"]),
         train_cars=sum(car.represents for car in run.params.cars),
     )

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
 from derail_ros.vocabulary import status as names
 from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.scene import Line
 
 STATUS = {
-    L.RUNNING: names.RUNNING,
-    L.AT_REST: names.AT_REST,
-    L.TIME_LIMIT: names.TIME_LIMIT,
-    L.VOID: names.VOID,
-    L.FAILED: names.FAILED,
+    layout.RUNNING: names.RUNNING,
+    layout.AT_REST: names.AT_REST,
+    layout.TIME_LIMIT: names.TIME_LIMIT,
+    layout.VOID: names.VOID,
+    layout.FAILED: names.FAILED,
 }
 
 CAUSES = {
-    L.CAUSE_NONE: "",
-    L.CAUSE_INITIAL: "initial",
-    L.CAUSE_BREAK: "rail break",
-    L.CAUSE_LATERAL: "lateral force",
-    L.CAUSE_ANGLE: "angle",
-    L.CAUSE_COMMAND: "command",
-    L.CAUSE_VENT: "vented",
-    L.CAUSE_SIGNAL: "brake signal",
+    layout.CAUSE_NONE: "",
+    layout.CAUSE_INITIAL: "initial",
+    layout.CAUSE_BREAK: "rail break",
+    layout.CAUSE_LATERAL: "lateral force",
+    layout.CAUSE_ANGLE: "angle",
+    layout.CAUSE_COMMAND: "command",
+    layout.CAUSE_VENT: "vented",
+    layout.CAUSE_SIGNAL: "brake signal",
 }
 
 BEFORE_AFTER = {
@@ -38,55 +39,55 @@ BEFORE_AFTER = {
 }
 
 
-def event_of(r: list[float], track: Line) -> Event:
+def event_of(r: Mapping[str, float], track: Line) -> Event:
     """The event of a row; place and track coordinate fill each other in."""
-    kind = EventKind(int(r[L.V_KIND]))
-    code = int(r[L.V_CAUSE])
+    kind = EventKind(int(r["kind"]))
+    code = int(r["cause"])
     before, after = BEFORE_AFTER.get(kind, ("", ""))
-    x, y, s = r[L.V_X], r[L.V_Y], r[L.V_S]
+    x, y, s = r["x"], r["y"], r["s"]
     if math.isnan(s) and not math.isnan(x):
         s = track.locate(x, y)[0]
     elif math.isnan(x) and not math.isnan(s):
         x, y, _, _ = track.point(s)
     return Event(
         kind=kind,
-        time=r[L.V_TIME],
-        step=int(r[L.V_STEP]),
-        cars=tuple(int(c) for c in (r[L.V_CAR], r[L.V_CAR2]) if c > 0),
-        end=("", *names.ENDS)[int(r[L.V_END])],
+        time=r["time"],
+        step=int(r["step"]),
+        cars=tuple(int(c) for c in (r["car"], r["car2"]) if c > 0),
+        end=("", *names.ENDS)[int(r["end"])],
         cause=STATUS[code] if kind == EventKind.RUN_ENDED else CAUSES[code],
         x=x,
         y=y,
         track_coordinate=s,
-        speed=r[L.V_SPEED],
-        value=r[L.V_VALUE],
+        speed=r["speed"],
+        value=r["value"],
         before=before,
         after=after,
     )
 
 
-def collision_of(number: int, r: list[float]) -> Collision:
+def collision_of(number: int, r: Mapping[str, float]) -> Collision:
     """The collision of a row."""
     return Collision(
         id=number,
-        final=r[L.K_STAGE] == 2.0,
-        car_a=int(r[L.K_A]),
-        car_b=int(r[L.K_B]),
-        corner_car=int(r[L.K_CORNER_CAR]),
-        corner=int(r[L.K_CORNER]),
-        start=r[L.K_START],
-        end=r[L.K_ENDT],
-        peak_force=r[L.K_PEAK],
-        peak_time=r[L.K_PEAK_T],
-        peak_resultant=r[L.K_RES],
-        peak_resultant_time=r[L.K_RES_T],
-        closing_speed=r[L.K_CLOSING],
-        x=r[L.K_X],
-        y=r[L.K_Y],
-        normal_x=r[L.K_NX],
-        normal_y=r[L.K_NY],
-        angle=r[L.K_ANGLE],
-        energy_lost=r[L.K_ENERGY],
+        final=r["stage"] == 2.0,
+        car_a=int(r["a"]),
+        car_b=int(r["b"]),
+        corner_car=int(r["corner_car"]),
+        corner=int(r["corner"]),
+        start=r["start"],
+        end=r["end"],
+        peak_force=r["peak"],
+        peak_time=r["peak_time"],
+        peak_resultant=r["resultant"],
+        peak_resultant_time=r["resultant_time"],
+        closing_speed=r["closing"],
+        x=r["x"],
+        y=r["y"],
+        normal_x=r["nx"],
+        normal_y=r["ny"],
+        angle=r["angle"],
+        energy_lost=r["energy"],
     )
 
 

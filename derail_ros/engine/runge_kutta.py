@@ -7,11 +7,8 @@ forces.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.dynamics import IMPLICIT, PLAIN, accelerations, constraint_gamma
 from derail_ros.engine.forces.track import truck_rows
 from derail_ros.engine.implicit import friction_damping, implicit_masses, restore_masses
@@ -19,10 +16,6 @@ from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.methods import ERRORS, GAMMA, META, TIMES, WEIGHTS
 from derail_ros.engine.solver import factor, solve
 from derail_ros.engine.trigonometry import angles
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-U8 = NDArray[np.uint8]
 
 
 @inner_jit
@@ -58,6 +51,15 @@ def last_stage_at_end(table: F64) -> bool:
 
 
 @inner_jit
+def _gamma_sum(table: F64, kv: F64, stages: int, s: int, i: int, k: int) -> float:
+    """``sum_j gamma_sj k_j`` of coordinate ``k`` of car ``i``."""
+    total = 0.0
+    for r in range(s):
+        total += table[stages + s, r] * kv[r, i, k]
+    return total
+
+
+@inner_jit
 def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
     """The stages of a step of size ``h`` from the accepted state.
 
@@ -79,7 +81,7 @@ def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
     v1_flat = v1.reshape(size)
     kq = work.kq.reshape(work.kq.size)
     kv = work.kv.reshape(work.kv.size)
-    t = state.clock[L.T]
+    t = state.clock[0].t
     gamma = table[META, GAMMA]
     stiff = False
     if gamma > 0.0:
@@ -87,22 +89,22 @@ def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
         stiff = friction_damping(model, state, work, h)
     for m in range(size):
         kq[m] = v0_flat[m]
-    for k in range(L.N_POWER):
+    for k in range(layout.N_POWER):
         work.kp[0, k] = state.power[k]
     mode = PLAIN
-    work.trial[L.TRY_IMPLICIT] = 0.0
+    work.trial[0].implicit = 0.0
     if stiff:
         mode = IMPLICIT
-        work.trial[L.TRY_IMPLICIT] = 1.0
+        work.trial[0].implicit = 1.0
         implicit_masses(car, wk, h * gamma)
         # The forces at the accepted state are M a less those of its constraints: the multipliers
         # found here are differences, the slopes are the same.
         for i in range(n):
-            work.force[i, 0] = car[i, L.MASS] * state.a[i, 0]
-            work.force[i, 1] = car[i, L.MASS] * state.a[i, 1]
-            work.force[i, 2] = car[i, L.INERTIA] * state.a[i, 2]
-            work.force[i, 3] = car[i, L.IC] * state.a[i, 3]
-            work.force[i, 4] = car[i, L.IC] * state.a[i, 4]
+            work.force[i, 0] = car[i].mass * state.a[i, 0]
+            work.force[i, 1] = car[i].mass * state.a[i, 1]
+            work.force[i, 2] = car[i].inertia * state.a[i, 2]
+            work.force[i, 3] = car[i].coupler_inertia * state.a[i, 3]
+            work.force[i, 4] = car[i].coupler_inertia * state.a[i, 4]
         truck_rows(model, state, work, state.q)
         if not factor(model, state, work):
             restore_masses(car, wk)
@@ -120,22 +122,20 @@ def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
             kq[s * size + m] = v1_flat[m]
         if stiff:
             for i in range(n):
-                if wk[i, L.W_STIFF] != 0.0:
-                    for k in range(3):
-                        total = 0.0
-                        for r in range(s):
-                            total += table[stages + s, r] * work.kv[r, i, k]
-                        wk[i, L.W_SX + k] = h * total
+                if wk[i].stiff != 0.0:
+                    wk[i].sx = h * _gamma_sum(table, work.kv, stages, s, i, 0)
+                    wk[i].sy = h * _gamma_sum(table, work.kv, stages, s, i, 1)
+                    wk[i].sw = h * _gamma_sum(table, work.kv, stages, s, i, 2)
         at = t + table[TIMES, s] * h
         if not accelerations(model, state, work, at, q1, v1, work.kv[s], mode):
             if stiff:
                 restore_masses(car, wk)
             return False
-        for k in range(L.N_POWER):
+        for k in range(layout.N_POWER):
             work.kp[s, k] = work.power[k]
     _combine(q0_flat, kq, table, WEIGHTS, stages, h, q1_flat)
     _combine(v0_flat, kv, table, WEIGHTS, stages, h, v1_flat)
-    for k in range(L.N_POWER):
+    for k in range(layout.N_POWER):
         total = 0.0
         for s in range(stages):
             total += table[WEIGHTS, s] * work.kp[s, k]
@@ -177,9 +177,9 @@ def step_error(model: Model, state: State, work: Work, h: float, last: int) -> f
         for k in range(5):
             arm = 1.0
             if k == 2:
-                arm = model.car[i, L.GYRATION]
+                arm = model.car[i].gyration
             elif k > 2:
-                arm = model.car[i, L.GYRATION_C]
+                arm = model.car[i].gyration_c
             a = abs(eq[m]) * arm
             b = abs(ev[m]) * arm / (1.0 + arm * abs(state.v[i, k]))
             # written so that a nan counts as an error
@@ -188,4 +188,4 @@ def step_error(model: Model, state: State, work: Work, h: float, last: int) -> f
             if not b <= error:
                 error = b
             m += 1
-    return error / model.par[L.RTOL]
+    return error / model.par[0].rtol

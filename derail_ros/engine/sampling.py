@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, U8, Model, State, Work, make_work
 from derail_ros.engine.dynamics import PLAIN, accelerations
 from derail_ros.engine.energy import kinetic_energy
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from derail_ros.engine.simulation import PlanarSimulation
 
 WORK_ENTRIES = {
-    "brakes": L.E_BRAKE,
-    "ground_trucks": L.E_GROUND_TRUCK,
-    "ground_body": L.E_GROUND_BODY,
-    "collisions": L.E_COLLISION,
-    "striker_dampers": L.E_DAMPER,
-    "knuckles_released": L.E_KNUCKLE,
-    "external": L.E_EXTERNAL,
-    "stabilization_net": L.E_STAB_NET,
-    "stabilization_gross": L.E_STAB_GROSS,
+    "brakes": layout.E_BRAKE,
+    "ground_trucks": layout.E_GROUND_TRUCK,
+    "ground_body": layout.E_GROUND_BODY,
+    "collisions": layout.E_COLLISION,
+    "striker_dampers": layout.E_DAMPER,
+    "knuckles_released": layout.E_KNUCKLE,
+    "external": layout.E_EXTERNAL,
+    "stabilization_net": layout.E_STAB_NET,
+    "stabilization_gross": layout.E_STAB_GROSS,
 }
 """Entries of the ledger that are integrated with the state, and their columns."""
 
@@ -53,7 +53,7 @@ def ledger(
 
 def all_active(state: State, work: Work) -> None:
     """Let the next evaluation look at every pair of the neighbour list."""
-    count = int(state.cnt[L.N_PAIRS])
+    count = int(state.cnt["pairs"][0])
     work.active[0] = count
     work.active[1 : 1 + count] = np.arange(count)
 
@@ -82,7 +82,7 @@ class Sampler:
         else:
             q[:], v[:], a[:] = s.q, s.v, s.a
         clock = s.clock.copy()
-        clock[L.T_ON] = s.clock[L.T_PREV] if inside else s.clock[L.T]
+        clock["t_on"] = s.clock["t_prev"][0] if inside else s.clock["t"][0]
         view = s._replace(
             q=q,
             v=v,
@@ -98,7 +98,7 @@ class Sampler:
             raise ConstraintError("the constraint equations cannot be solved", run)
         self._locate_derailed_trucks(view)
         r = work.report
-        corner = r[:, L.R_CORNER :].reshape(n, 4, 4)
+        corner = r[:, layout.R_CORNER :].reshape(n, 4, 4)
         touched = corner[:, :, 0] > 0.0
         return Sample(
             time=t,
@@ -113,31 +113,31 @@ class Sampler:
             coupled=view.coupled,
             truck_coordinate=view.truck_s,
             rail_force=work.lam_t.copy(),
-            brake_force=r[:, L.R_BRAKE].copy(),
-            ground_truck_force=r[:, L.R_TRUCK : L.R_TRUCK + 4].reshape(n, 2, 2).copy(),
-            ground_body_force=r[:, L.R_BODY : L.R_BODY + 2].copy(),
-            ground_moment=r[:, L.R_GROUND_MOMENT].copy(),
-            striker_force=r[:, L.R_STRIKER : L.R_STRIKER + 2].copy(),
+            brake_force=r[:, layout.R_BRAKE].copy(),
+            ground_truck_force=r[:, layout.R_TRUCK : layout.R_TRUCK + 4].reshape(n, 2, 2).copy(),
+            ground_body_force=r[:, layout.R_BODY : layout.R_BODY + 2].copy(),
+            ground_moment=r[:, layout.R_GROUND_MOMENT].copy(),
+            striker_force=r[:, layout.R_STRIKER : layout.R_STRIKER + 2].copy(),
             relative_angle=q[:-1, 4] - q[1:, 3],
-            knuckle_moment=r[:-1, L.R_KNUCKLE].copy(),
+            knuckle_moment=r[:-1, layout.R_KNUCKLE].copy(),
             coupler_force=work.lam_c.copy(),
             coupler_gap=self._gap(q, view.coupled),
-            collision_force=r[:, L.R_COLLISION : L.R_COLLISION + 2].copy(),
-            collision_moment=r[:, L.R_COLLISION + 2].copy(),
+            collision_force=r[:, layout.R_COLLISION : layout.R_COLLISION + 2].copy(),
+            collision_moment=r[:, layout.R_COLLISION + 2].copy(),
             corner_force=corner[:, :, 0].copy(),
             corner_gap=np.where(touched, corner[:, :, 1], math.nan),
             corner_closing_speed=np.where(touched, corner[:, :, 2], math.nan),
             corner_other=corner[:, :, 3].astype(np.int64),
-            external_force=r[:, L.R_EXTERNAL : L.R_EXTERNAL + 2].copy(),
-            external_moment=r[:, L.R_EXTERNAL + 2].copy(),
-            energy=ledger(model, s.clock[L.E_INITIAL], energy, view.coupled, q, v),
+            external_force=r[:, layout.R_EXTERNAL : layout.R_EXTERNAL + 2].copy(),
+            external_moment=r[:, layout.R_EXTERNAL + 2].copy(),
+            energy=ledger(model, s.clock["initial_energy"][0], energy, view.coupled, q, v),
         )
 
     def _locate_derailed_trucks(self, view: State) -> None:
         """Track coordinates of trucks off the rails, which the kernels leave where they were."""
         run, q = self._run, view.q
         c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
-        arm = run._model.car[:, L.DT]
+        arm = run._model.car["truck"]
         coordinate = view.truck_s
         for k, sign in ((0, 1.0), (1, -1.0)):
             for i in np.flatnonzero(view.truck_on[:, k] == 0):
@@ -152,10 +152,10 @@ class Sampler:
         car = self._run._model.car
         c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
 
-        def face(sign: float, length: int, angle: int) -> F64:
-            x = car[:, L.DP] * c + car[:, length] * np.cos(q[:, angle])
-            y = car[:, L.DP] * sn + car[:, length] * np.sin(q[:, angle])
+        def face(sign: float, length: str, angle: int) -> F64:
+            x = car["pivot"] * c + car[length] * np.cos(q[:, angle])
+            y = car["pivot"] * sn + car[length] * np.sin(q[:, angle])
             return q[:, :2] + sign * np.stack([x, y], axis=1)
 
-        apart = face(-1.0, L.DCR, 4)[:-1] - face(1.0, L.DCF, 3)[1:]
+        apart = face(-1.0, "rear", 4)[:-1] - face(1.0, "front", 3)[1:]
         return np.where(coupled.astype(bool), np.hypot(*apart.T), 0.0)

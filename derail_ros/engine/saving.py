@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
 from derail_ros.engine.arrays import State
 from derail_ros.engine.serial import pack, unpack
 from derail_ros.vocabulary.errors import DerailError, StateFormatError
@@ -19,7 +19,7 @@ from derail_ros.vocabulary.plain import from_plain, to_plain
 if TYPE_CHECKING:
     from derail_ros.engine.simulation import PlanarSimulation
 
-_ROWS = {"pairs": L.N_PAIRS, "mask": L.N_PAIRS, "pair": L.N_PAIRS, "contact": L.N_CONTACTS}
+_ROWS = {"pairs": "pairs", "mask": "pairs", "pair": "pairs", "contact": "contacts"}
 """Arrays with spare rows, and the counter of those in use."""
 
 
@@ -50,11 +50,15 @@ def grown_breaks(state: State) -> State:
 
 
 def _arrays(state: State) -> dict[str, NDArray[Any]]:
-    """The state's arrays without their spare rows."""
-    return {
-        name: array[: int(state.cnt[_ROWS[name]])] if name in _ROWS else array
-        for name, array in state._asdict().items()
-    }
+    """The state's arrays without their spare rows, tables as plain arrays."""
+    arrays = {}
+    for name, array in state._asdict().items():
+        if name in _ROWS:
+            array = array[: int(state.cnt[_ROWS[name]][0])]
+        if array.dtype.names:
+            array = array.view(array.dtype[0]).reshape(len(array), len(array.dtype.names))
+        arrays[name] = array[0] if name in ("clock", "cnt") else array
+    return arrays
 
 
 def to_bytes(run: PlanarSimulation) -> bytes:
@@ -90,18 +94,27 @@ def _restored(fresh: State, saved: dict[str, NDArray[Any]]) -> State:
     fields = fresh._asdict()
     if set(fields) != set(saved):
         raise StateFormatError("the arrays of the saved state do not match this version")
-    pair_rows = max(len(fresh.pairs), 2 * int(saved["cnt"][L.N_PAIRS]) + 64)
-    contact_rows = max(len(fresh.contact), 2 * int(saved["cnt"][L.N_CONTACTS]) + 64)
-    for name, array in saved.items():
-        own = fields[name]
-        if array.dtype != own.dtype or array.shape[1:] != own.shape[1:]:
-            raise StateFormatError(f"array {name} does not match this version")
+    arrays = {name: _as_rows(name, array, fields[name]) for name, array in saved.items()}
+    counts = arrays["cnt"][0]
+    pair_rows = max(len(fresh.pairs), 2 * int(counts["pairs"]) + 64)
+    contact_rows = max(len(fresh.contact), 2 * int(counts["contacts"]) + 64)
+    for name, array in arrays.items():
         if name in _ROWS:
             array = _longer(array, contact_rows if name == "contact" else pair_rows)
-        elif name != "breaks" and array.shape != own.shape:
+        elif name != "breaks" and array.shape != fields[name].shape:
             raise StateFormatError(f"array {name} does not fit this train or this version")
         fields[name] = array
     return State(**fields)
+
+
+def _as_rows(name: str, array: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:
+    """A saved array in the form of the run's ``own``."""
+    columns = own.dtype.names
+    kind = own.dtype[0] if columns else own.dtype
+    shape = (len(columns),) if columns else own.shape[1:]
+    if array.dtype != kind or array.shape[array.ndim - len(shape) :] != shape:
+        raise StateFormatError(f"array {name} does not match this version")
+    return array.reshape(-1).view(own.dtype) if columns else array
 
 
 def state_hash(state: State) -> str:
@@ -111,7 +124,7 @@ def state_hash(state: State) -> str:
         data = array
         if name == "cnt":  # evaluations count work done, not where the run is
             data = array.copy()
-            data[L.EVALS] = 0
+            data.view(layout.COUNT)["evaluations"] = 0
         elif name == "breaks":
             data = array[np.isfinite(array)]
         digest.update(name.encode())

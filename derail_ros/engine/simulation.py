@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from derail_ros.engine import layout as L
-from derail_ros.engine import saving, stepper
+from derail_ros.engine import layout, saving, stepper
 from derail_ros.engine.arrays import State, make_work
 from derail_ros.engine.build import ARRIVALS, build_model, check_trigger, initial_state, validate
 from derail_ros.engine.dynamics import PLAIN, accelerations, project_positions, project_velocities
@@ -133,7 +132,7 @@ class PlanarSimulation(Simulation):
         s.a1[:] = s.a
         s.power0[:] = s.power
         s.power1[:] = s.power
-        s.clock[L.E_INITIAL] = kinetic_energy(self._model, s.v) + sum(
+        s.clock["initial_energy"][0] = kinetic_energy(self._model, s.v) + sum(
             coupler_energy(self._model, s.coupled, s.q)
         )
         self._drain()
@@ -141,7 +140,7 @@ class PlanarSimulation(Simulation):
     def _evaluate(self) -> bool:
         """Accelerations, multipliers and powers of the state as it stands, into the state."""
         s, work = self._state, self._work
-        s.clock[L.T_ON] = s.clock[L.T]
+        s.clock["t_on"][0] = s.clock["t"][0]
         all_active(s, work)
         ok = accelerations(self._model, s, work, self.time, s.q, s.v, s.a, PLAIN)
         s.power[:] = work.power
@@ -159,22 +158,22 @@ class PlanarSimulation(Simulation):
     @property
     def time(self) -> float:
         """End of the last accepted step, s."""
-        return float(self._state.clock[L.T])
+        return float(self._state.clock["t"][0])
 
     @property
     def previous_time(self) -> float:
         """Beginning of the last accepted step, s."""
-        return float(self._state.clock[L.T_PREV])
+        return float(self._state.clock["t_prev"][0])
 
     @property
     def step_count(self) -> int:
         """Accepted steps so far."""
-        return int(self._state.cnt[L.STEP])
+        return int(self._state.cnt["steps"][0])
 
     @property
     def status(self) -> str:
         """ "running", "at rest", "time limit", "void" or "failed"."""
-        return STATUS[int(self._state.cnt[L.STATUS])]
+        return STATUS[int(self._state.cnt["status"][0])]
 
     @property
     def events(self) -> list[Event]:
@@ -194,37 +193,37 @@ class PlanarSimulation(Simulation):
     @property
     def statistics(self) -> dict[str, int]:
         """Counters of the integration: steps, rejected steps, evaluations, what set the step."""
-        c = self._state.cnt
+        c = self._state.cnt[0]
         return {
-            "steps": int(c[L.STEP]),
-            "rejected": int(c[L.REJECTED]),
-            "evaluations": int(c[L.EVALS]),
-            "neighbour_lists": int(c[L.REBUILDS]),
-            "limited_by_accuracy": int(c[L.LIMIT_ACCURACY]),
-            "limited_by_cap": int(c[L.LIMIT_CAP]),
-            "limited_by_stability": int(c[L.LIMIT_STABILITY]),
-            "limited_by_largest": int(c[L.LIMIT_LARGEST]),
-            "ended_at_a_moment": int(c[L.LIMIT_MOMENT]),
-            "implicit": int(c[L.IMPLICIT_STEPS]),
+            "steps": int(c["steps"]),
+            "rejected": int(c["rejected"]),
+            "evaluations": int(c["evaluations"]),
+            "neighbour_lists": int(c["rebuilds"]),
+            "limited_by_accuracy": int(c["by_accuracy"]),
+            "limited_by_cap": int(c["by_cap"]),
+            "limited_by_stability": int(c["by_stability"]),
+            "limited_by_largest": int(c["by_largest"]),
+            "ended_at_a_moment": int(c["by_moment"]),
+            "implicit": int(c["implicit"]),
         }
 
     @property
     def collisions(self) -> list[Collision]:
         """All contacts so far, in the order of their beginning."""
-        return [self._collision(k) for k in range(int(self._state.cnt[L.N_CONTACTS]))]
+        return [self._collision(k) for k in range(int(self._state.cnt["contacts"][0]))]
 
     def new_collisions(self) -> list[Collision]:
         """Contacts whose peak has passed, or that have ended, since the last call."""
         out = []
-        for k in range(int(self._state.cnt[L.N_CONTACTS])):
-            version = int(self._state.contact[k, L.K_VERSION])
+        for k in range(int(self._state.cnt["contacts"][0])):
+            version = int(self._state.contact[k]["version"])
             if version != self._seen.get(k, 0):
                 self._seen[k] = version
                 out.append(self._collision(k))
         return out
 
     def _collision(self, k: int) -> Collision:
-        return collision_of(k, self._state.contact[k].tolist())
+        return collision_of(k, layout.named(self._state.contact[k : k + 1])[0])
 
     # --- going on ----------------------------------------------------------------------------
 
@@ -247,7 +246,7 @@ class PlanarSimulation(Simulation):
     def _advance(self, t: float, max_steps: int) -> list[Event]:
         first = len(self._events)
         target_step = self.step_count + max_steps if max_steps < 2**62 else 2**62
-        if self._state.cnt[L.STATUS] == L.FAILED:
+        if self._state.cnt["status"][0] == layout.FAILED:
             raise SimulationError("the run has failed before and cannot go on", self)
         while True:
             left = target_step - self.step_count
@@ -273,10 +272,9 @@ class PlanarSimulation(Simulation):
 
     def _drain(self) -> None:
         """Turn the kernels' event rows into events, with the scheduled ones that are due."""
-        count = int(self._state.cnt[L.N_EVENTS])
-        rows = self._work.event[:count].tolist()
-        self._state.cnt[L.N_EVENTS] = 0
-        batch = [event_of(row, self.track) for row in rows]
+        count = int(self._state.cnt["events"][0])
+        self._state.cnt["events"][0] = 0
+        batch = [event_of(row, self.track) for row in layout.named(self._work.event[:count])]
         while self._scheduled and self._scheduled[0].time <= self.time:
             batch.append(self._scheduled.pop(0))
         batch.sort(key=lambda e: e.time)
@@ -403,8 +401,8 @@ class PlanarSimulation(Simulation):
 
     def _start_brakes(self, mode: str, source: str, car: int, t: float) -> None:
         kind = ARRIVALS[mode]
-        distance = self._model.car[:, L.DIST]
-        units = self._model.unit[:, L.U_DIST]
+        distance = self._model.car["distance"]
+        units = self._model.unit["distance"]
         places = []
         if source in ("front", "both_ends"):
             places.append(float(distance[0]))

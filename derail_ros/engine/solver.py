@@ -26,35 +26,97 @@ that the same factorization serves integrators that add an implicit damping to M
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import F64, Model, Rows, State, Work
 from derail_ros.engine.forces.couplers import front_rate, rear_rate
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 
-F64 = NDArray[np.float64]
-
 
 @inner_jit
-def plain_mass(car: F64, wk: F64, i: int) -> None:
+def plain_mass(car: Rows, wk: Rows, i: int) -> None:
     """Put the inverse of the constant masses of car ``i`` where ``factor`` looks for it."""
-    wk[i, L.W_M] = 1.0 / car[i, L.MASS]
-    wk[i, L.W_M + 1] = 0.0
-    wk[i, L.W_M + 2] = 0.0
-    wk[i, L.W_M + 3] = 1.0 / car[i, L.MASS]
-    wk[i, L.W_M + 4] = 0.0
-    wk[i, L.W_M + 5] = 1.0 / car[i, L.INERTIA]
-    wk[i, L.W_IA] = 1.0 / car[i, L.IC]
-    wk[i, L.W_IB] = 1.0 / car[i, L.IC]
+    w = wk[i]
+    w.m_xx = 1.0 / car[i].mass
+    w.m_xy = 0.0
+    w.m_xt = 0.0
+    w.m_yy = 1.0 / car[i].mass
+    w.m_yt = 0.0
+    w.m_tt = 1.0 / car[i].inertia
+    w.m_front = 1.0 / car[i].coupler_inertia
+    w.m_rear = 1.0 / car[i].coupler_inertia
 
 
 @jit
-def plain_masses(model: Model, wk: F64) -> None:
+def plain_masses(model: Model, wk: Rows) -> None:
     """``plain_mass`` of every car."""
     for i in range(wk.shape[0]):
         plain_mass(model.car, wk, i)
+
+
+@inner_jit
+def _mobility(w: Any, front: Any, rear: Any, on_f: bool, on_r: bool) -> bool:
+    """Eliminate the truck rows of a car: W, P and G^-1 into its row; False when singular."""
+    xx = w.m_xx
+    xy = w.m_xy
+    xt = w.m_xt
+    yy = w.m_yy
+    yt = w.m_yt
+    tt = w.m_tt
+    ok = True
+    if on_f or on_r:
+        # K = M^-1 Jt^T, G = Jt K
+        kf0 = 0.0
+        kf1 = 0.0
+        kf2 = 0.0
+        kr0 = 0.0
+        kr1 = 0.0
+        kr2 = 0.0
+        gff = 1.0
+        grr = 1.0
+        gfr = 0.0
+        if on_f:
+            kf0 = xx * front.nx + xy * front.ny + xt * front.arm
+            kf1 = xy * front.nx + yy * front.ny + yt * front.arm
+            kf2 = xt * front.nx + yt * front.ny + tt * front.arm
+            gff = front.nx * kf0 + front.ny * kf1 + front.arm * kf2
+        if on_r:
+            kr0 = xx * rear.nx + xy * rear.ny + xt * rear.arm
+            kr1 = xy * rear.nx + yy * rear.ny + yt * rear.arm
+            kr2 = xt * rear.nx + yt * rear.ny + tt * rear.arm
+            grr = rear.nx * kr0 + rear.ny * kr1 + rear.arm * kr2
+            if on_f:
+                gfr = rear.nx * kf0 + rear.ny * kf1 + rear.arm * kf2
+        det = gff * grr - gfr * gfr
+        if not det > 0.0:
+            ok = False
+            det = 1.0
+        iff = grr / det
+        irr = gff / det
+        ifr = -gfr / det
+        w.g_ff = iff if on_f else 0.0
+        w.g_fr = ifr
+        w.g_rr = irr if on_r else 0.0
+        # P = K G^-1
+        w.p_fx = kf0 * iff + kr0 * ifr
+        w.p_fy = kf1 * iff + kr1 * ifr
+        w.p_ft = kf2 * iff + kr2 * ifr
+        w.p_rx = kf0 * ifr + kr0 * irr
+        w.p_ry = kf1 * ifr + kr1 * irr
+        w.p_rt = kf2 * ifr + kr2 * irr
+        xx -= w.p_fx * kf0 + w.p_rx * kr0
+        xy -= w.p_fx * kf1 + w.p_rx * kr1
+        xt -= w.p_fx * kf2 + w.p_rx * kr2
+        yy -= w.p_fy * kf1 + w.p_ry * kr1
+        yt -= w.p_fy * kf2 + w.p_ry * kr2
+        tt -= w.p_ft * kf2 + w.p_rt * kr2
+    w.w_xx = xx
+    w.w_xy = xy
+    w.w_xt = xt
+    w.w_yy = yy
+    w.w_yt = yt
+    w.w_tt = tt
+    return ok
 
 
 @inner_jit
@@ -68,152 +130,67 @@ def factor(model: Model, state: State, work: Work) -> bool:
     n = wk.shape[0]
     ok = True
     for i in range(n):
-        mxx = wk[i, L.W_M]
-        mxy = wk[i, L.W_M + 1]
-        mxt = wk[i, L.W_M + 2]
-        myy = wk[i, L.W_M + 3]
-        myt = wk[i, L.W_M + 4]
-        mtt = wk[i, L.W_M + 5]
+        w = wk[i]
         on_f = truck_on[i, 0] != 0
         on_r = truck_on[i, 1] != 0
-        if on_f or on_r:
-            # K = M^-1 Jt^T, G = Jt K
-            kf0 = 0.0
-            kf1 = 0.0
-            kf2 = 0.0
-            kr0 = 0.0
-            kr1 = 0.0
-            kr2 = 0.0
-            gff = 1.0
-            grr = 1.0
-            gfr = 0.0
-            if on_f:
-                a = wk[i, L.W_TRUCK]
-                b = wk[i, L.W_TRUCK + 1]
-                d = wk[i, L.W_TRUCK + 2]
-                kf0 = mxx * a + mxy * b + mxt * d
-                kf1 = mxy * a + myy * b + myt * d
-                kf2 = mxt * a + myt * b + mtt * d
-                gff = a * kf0 + b * kf1 + d * kf2
-            if on_r:
-                a = wk[i, L.W_TRUCK + 3]
-                b = wk[i, L.W_TRUCK + 4]
-                d = wk[i, L.W_TRUCK + 5]
-                kr0 = mxx * a + mxy * b + mxt * d
-                kr1 = mxy * a + myy * b + myt * d
-                kr2 = mxt * a + myt * b + mtt * d
-                grr = a * kr0 + b * kr1 + d * kr2
-                if on_f:
-                    gfr = a * kf0 + b * kf1 + d * kf2
-            det = gff * grr - gfr * gfr
-            if not det > 0.0:
-                ok = False
-                det = 1.0
-            iff = grr / det
-            irr = gff / det
-            ifr = -gfr / det
-            wk[i, L.W_G] = iff if on_f else 0.0
-            wk[i, L.W_G + 1] = ifr
-            wk[i, L.W_G + 2] = irr if on_r else 0.0
-            # P = K G^-1
-            pf0 = kf0 * iff + kr0 * ifr
-            pf1 = kf1 * iff + kr1 * ifr
-            pf2 = kf2 * iff + kr2 * ifr
-            pr0 = kf0 * ifr + kr0 * irr
-            pr1 = kf1 * ifr + kr1 * irr
-            pr2 = kf2 * ifr + kr2 * irr
-            wk[i, L.W_P] = pf0
-            wk[i, L.W_P + 1] = pf1
-            wk[i, L.W_P + 2] = pf2
-            wk[i, L.W_P + 3] = pr0
-            wk[i, L.W_P + 4] = pr1
-            wk[i, L.W_P + 5] = pr2
-            mxx -= pf0 * kf0 + pr0 * kr0
-            mxy -= pf0 * kf1 + pr0 * kr1
-            mxt -= pf0 * kf2 + pr0 * kr2
-            myy -= pf1 * kf1 + pr1 * kr1
-            myt -= pf1 * kf2 + pr1 * kr2
-            mtt -= pf2 * kf2 + pr2 * kr2
-        wk[i, L.W_W] = mxx
-        wk[i, L.W_W + 1] = mxy
-        wk[i, L.W_W + 2] = mxt
-        wk[i, L.W_W + 3] = myy
-        wk[i, L.W_W + 4] = myt
-        wk[i, L.W_W + 5] = mtt
+        if not _mobility(w, work.row[i, 0], work.row[i, 1], on_f, on_r):
+            ok = False
         # columns W J_F^T and W J_B^T of the attachments at the pivots
-        ox = -car[i, L.DP] * wk[i, L.W_ST]
-        oy = car[i, L.DP] * wk[i, L.W_CT]
-        wk[i, L.W_F] = mxx + mxt * ox
-        wk[i, L.W_F + 1] = mxy + myt * ox
-        wk[i, L.W_F + 2] = mxt + mtt * ox
-        wk[i, L.W_F + 3] = mxy + mxt * oy
-        wk[i, L.W_F + 4] = myy + myt * oy
-        wk[i, L.W_F + 5] = myt + mtt * oy
-        wk[i, L.W_B] = mxx - mxt * ox
-        wk[i, L.W_B + 1] = mxy - myt * ox
-        wk[i, L.W_B + 2] = mxt - mtt * ox
-        wk[i, L.W_B + 3] = mxy - mxt * oy
-        wk[i, L.W_B + 4] = myy - myt * oy
-        wk[i, L.W_B + 5] = myt - mtt * oy
+        ox = -car[i].pivot * w.st
+        oy = car[i].pivot * w.ct
+        w.fx_x = w.w_xx + w.w_xt * ox
+        w.fx_y = w.w_xy + w.w_yt * ox
+        w.fx_t = w.w_xt + w.w_tt * ox
+        w.fy_x = w.w_xy + w.w_xt * oy
+        w.fy_y = w.w_yy + w.w_yt * oy
+        w.fy_t = w.w_yt + w.w_tt * oy
+        w.bx_x = w.w_xx - w.w_xt * ox
+        w.bx_y = w.w_xy - w.w_yt * ox
+        w.bx_t = w.w_xt - w.w_tt * ox
+        w.by_x = w.w_xy - w.w_xt * oy
+        w.by_y = w.w_yy - w.w_yt * oy
+        w.by_t = w.w_yt - w.w_tt * oy
 
     for k in range(n - 1):
         if coupled[k] == 0:
             continue
+        a = wk[k]
+        b = wk[k + 1]
         # W_BB of car k, with its rear coupler body
-        ox = car[k, L.DP] * wk[k, L.W_ST]
-        oy = -car[k, L.DP] * wk[k, L.W_CT]
-        s = car[k, L.DCR] * car[k, L.DCR] * wk[k, L.W_IB]
-        dxx = wk[k, L.W_B] + ox * wk[k, L.W_B + 2] + s * wk[k, L.W_SB] * wk[k, L.W_SB]
-        dxy = wk[k, L.W_B + 3] + ox * wk[k, L.W_B + 5] - s * wk[k, L.W_SB] * wk[k, L.W_CB]
-        dyy = wk[k, L.W_B + 4] + oy * wk[k, L.W_B + 5] + s * wk[k, L.W_CB] * wk[k, L.W_CB]
+        ax = car[k].pivot * a.st
+        ay = -car[k].pivot * a.ct
+        s = car[k].rear * car[k].rear * a.m_rear
+        dxx = a.bx_x + ax * a.bx_t + s * a.sb * a.sb
+        dxy = a.by_x + ax * a.by_t - s * a.sb * a.cb
+        dyy = a.by_y + ay * a.by_t + s * a.cb * a.cb
         # W_FF of car k + 1, with its front coupler body
-        ox = -car[k + 1, L.DP] * wk[k + 1, L.W_ST]
-        oy = car[k + 1, L.DP] * wk[k + 1, L.W_CT]
-        s = car[k + 1, L.DCF] * car[k + 1, L.DCF] * wk[k + 1, L.W_IA]
-        dxx += (
-            wk[k + 1, L.W_F]
-            + ox * wk[k + 1, L.W_F + 2]
-            + s * wk[k + 1, L.W_SA] * wk[k + 1, L.W_SA]
-        )
-        dxy += (
-            wk[k + 1, L.W_F + 3]
-            + ox * wk[k + 1, L.W_F + 5]
-            - s * wk[k + 1, L.W_SA] * wk[k + 1, L.W_CA]
-        )
-        dyy += (
-            wk[k + 1, L.W_F + 4]
-            + oy * wk[k + 1, L.W_F + 5]
-            + s * wk[k + 1, L.W_CA] * wk[k + 1, L.W_CA]
-        )
+        bx = -car[k + 1].pivot * b.st
+        by = car[k + 1].pivot * b.ct
+        s = car[k + 1].front * car[k + 1].front * b.m_front
+        dxx += b.fx_x + bx * b.fx_t + s * b.sa * b.sa
+        dxy += b.fy_x + bx * b.fy_t - s * b.sa * b.ca
+        dyy += b.fy_y + by * b.fy_t + s * b.ca * b.ca
         if k > 0 and coupled[k - 1]:
             # L = -W_BF(k) ties this coupling to the one in front
-            ox = car[k, L.DP] * wk[k, L.W_ST]
-            oy = -car[k, L.DP] * wk[k, L.W_CT]
-            lxx = -(wk[k, L.W_F] + ox * wk[k, L.W_F + 2])
-            lxy = -(wk[k, L.W_F + 3] + ox * wk[k, L.W_F + 5])
-            lyx = -(wk[k, L.W_F + 1] + oy * wk[k, L.W_F + 2])
-            lyy = -(wk[k, L.W_F + 4] + oy * wk[k, L.W_F + 5])
-            wk[k, L.W_L] = lxx
-            wk[k, L.W_L + 1] = lxy
-            wk[k, L.W_L + 2] = lyx
-            wk[k, L.W_L + 3] = lyy
-            exx = wk[k - 1, L.W_D]
-            exy = wk[k - 1, L.W_D + 1]
-            eyy = wk[k - 1, L.W_D + 2]
-            txx = lxx * exx + lxy * exy
-            txy = lxx * exy + lxy * eyy
-            tyx = lyx * exx + lyy * exy
-            tyy = lyx * exy + lyy * eyy
-            dxx -= txx * lxx + txy * lxy
-            dxy -= txx * lyx + txy * lyy
-            dyy -= tyx * lyx + tyy * lyy
+            a.l_xx = -(a.fx_x + ax * a.fx_t)
+            a.l_xy = -(a.fy_x + ax * a.fy_t)
+            a.l_yx = -(a.fx_y + ay * a.fx_t)
+            a.l_yy = -(a.fy_y + ay * a.fy_t)
+            e = wk[k - 1]
+            txx = a.l_xx * e.d_xx + a.l_xy * e.d_xy
+            txy = a.l_xx * e.d_xy + a.l_xy * e.d_yy
+            tyx = a.l_yx * e.d_xx + a.l_yy * e.d_xy
+            tyy = a.l_yx * e.d_xy + a.l_yy * e.d_yy
+            dxx -= txx * a.l_xx + txy * a.l_xy
+            dxy -= txx * a.l_yx + txy * a.l_yy
+            dyy -= tyx * a.l_yx + tyy * a.l_yy
         det = dxx * dyy - dxy * dxy
         if not det > 0.0:
             ok = False
             det = 1.0
-        wk[k, L.W_D] = dyy / det
-        wk[k, L.W_D + 1] = -dxy / det
-        wk[k, L.W_D + 2] = dxx / det
+        a.d_xx = dyy / det
+        a.d_xy = -dxy / det
+        a.d_yy = dxx / det
     return ok
 
 
@@ -236,23 +213,24 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
     lam_c = work.lam_c
     n = wk.shape[0]
     for i in range(n):
+        w = wk[i]
         f0 = force[i, 0]
         f1 = force[i, 1]
         f2 = force[i, 2]
-        a0 = wk[i, L.W_W] * f0 + wk[i, L.W_W + 1] * f1 + wk[i, L.W_W + 2] * f2
-        a1 = wk[i, L.W_W + 1] * f0 + wk[i, L.W_W + 3] * f1 + wk[i, L.W_W + 4] * f2
-        a2 = wk[i, L.W_W + 2] * f0 + wk[i, L.W_W + 4] * f1 + wk[i, L.W_W + 5] * f2
+        a0 = w.w_xx * f0 + w.w_xy * f1 + w.w_xt * f2
+        a1 = w.w_xy * f0 + w.w_yy * f1 + w.w_yt * f2
+        a2 = w.w_xt * f0 + w.w_yt * f1 + w.w_tt * f2
         if truck_on[i, 0] or truck_on[i, 1]:
             gf = gamma_t[i, 0] if truck_on[i, 0] else 0.0
             gr = gamma_t[i, 1] if truck_on[i, 1] else 0.0
-            a0 += wk[i, L.W_P] * gf + wk[i, L.W_P + 3] * gr
-            a1 += wk[i, L.W_P + 1] * gf + wk[i, L.W_P + 4] * gr
-            a2 += wk[i, L.W_P + 2] * gf + wk[i, L.W_P + 5] * gr
+            a0 += w.p_fx * gf + w.p_rx * gr
+            a1 += w.p_fy * gf + w.p_ry * gr
+            a2 += w.p_ft * gf + w.p_rt * gr
         x[i, 0] = a0
         x[i, 1] = a1
         x[i, 2] = a2
-        x[i, 3] = force[i, 3] * wk[i, L.W_IA]
-        x[i, 4] = force[i, 4] * wk[i, L.W_IB]
+        x[i, 3] = force[i, 3] * w.m_front
+        x[i, 4] = force[i, 4] * w.m_rear
 
     # couplings: eliminate from the front
     for k in range(n - 1):
@@ -260,50 +238,46 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
             lam_c[k, 0] = 0.0
             lam_c[k, 1] = 0.0
             continue
+        a = wk[k]
         bx, by = rear_rate(car, x, wk, k)
         fx, fy = front_rate(car, x, wk, k + 1)
-        rx = gamma_c[k, 0] - bx + fx
-        ry = gamma_c[k, 1] - by + fy
+        a.rx = gamma_c[k, 0] - bx + fx
+        a.ry = gamma_c[k, 1] - by + fy
         if k > 0 and coupled[k - 1]:
-            ux = wk[k - 1, L.W_D] * wk[k - 1, L.W_RX] + wk[k - 1, L.W_D + 1] * wk[k - 1, L.W_RY]
-            uy = (
-                wk[k - 1, L.W_D + 1] * wk[k - 1, L.W_RX] + wk[k - 1, L.W_D + 2] * wk[k - 1, L.W_RY]
-            )
-            rx -= wk[k, L.W_L] * ux + wk[k, L.W_L + 1] * uy
-            ry -= wk[k, L.W_L + 2] * ux + wk[k, L.W_L + 3] * uy
-        wk[k, L.W_RX] = rx
-        wk[k, L.W_RY] = ry
+            e = wk[k - 1]
+            ux = e.d_xx * e.rx + e.d_xy * e.ry
+            uy = e.d_xy * e.rx + e.d_yy * e.ry
+            a.rx -= a.l_xx * ux + a.l_xy * uy
+            a.ry -= a.l_yx * ux + a.l_yy * uy
     # and substitute from the rear
     for k in range(n - 2, -1, -1):
         if coupled[k] == 0:
             continue
-        rx = wk[k, L.W_RX]
-        ry = wk[k, L.W_RY]
+        a = wk[k]
+        rx = a.rx
+        ry = a.ry
         if k < n - 2 and coupled[k + 1]:
-            lx = lam_c[k + 1, 0]
-            ly = lam_c[k + 1, 1]
-            rx -= wk[k + 1, L.W_L] * lx + wk[k + 1, L.W_L + 2] * ly
-            ry -= wk[k + 1, L.W_L + 1] * lx + wk[k + 1, L.W_L + 3] * ly
-        lam_c[k, 0] = wk[k, L.W_D] * rx + wk[k, L.W_D + 1] * ry
-        lam_c[k, 1] = wk[k, L.W_D + 1] * rx + wk[k, L.W_D + 2] * ry
+            b = wk[k + 1]
+            rx -= b.l_xx * lam_c[k + 1, 0] + b.l_yx * lam_c[k + 1, 1]
+            ry -= b.l_xy * lam_c[k + 1, 0] + b.l_yy * lam_c[k + 1, 1]
+        lam_c[k, 0] = a.d_xx * rx + a.d_xy * ry
+        lam_c[k, 1] = a.d_xy * rx + a.d_yy * ry
 
     for k in range(n - 1):
         if coupled[k] == 0:
             continue
+        a = wk[k]
+        b = wk[k + 1]
         lx = lam_c[k, 0]
         ly = lam_c[k, 1]
-        x[k, 0] += wk[k, L.W_B] * lx + wk[k, L.W_B + 3] * ly
-        x[k, 1] += wk[k, L.W_B + 1] * lx + wk[k, L.W_B + 4] * ly
-        x[k, 2] += wk[k, L.W_B + 2] * lx + wk[k, L.W_B + 5] * ly
-        x[k, 4] += car[k, L.DCR] * wk[k, L.W_IB] * (wk[k, L.W_SB] * lx - wk[k, L.W_CB] * ly)
-        x[k + 1, 0] -= wk[k + 1, L.W_F] * lx + wk[k + 1, L.W_F + 3] * ly
-        x[k + 1, 1] -= wk[k + 1, L.W_F + 1] * lx + wk[k + 1, L.W_F + 4] * ly
-        x[k + 1, 2] -= wk[k + 1, L.W_F + 2] * lx + wk[k + 1, L.W_F + 5] * ly
-        x[k + 1, 3] += (
-            car[k + 1, L.DCF]
-            * wk[k + 1, L.W_IA]
-            * (wk[k + 1, L.W_SA] * lx - wk[k + 1, L.W_CA] * ly)
-        )
+        x[k, 0] += a.bx_x * lx + a.by_x * ly
+        x[k, 1] += a.bx_y * lx + a.by_y * ly
+        x[k, 2] += a.bx_t * lx + a.by_t * ly
+        x[k, 4] += car[k].rear * a.m_rear * (a.sb * lx - a.cb * ly)
+        x[k + 1, 0] -= b.fx_x * lx + b.fy_x * ly
+        x[k + 1, 1] -= b.fx_y * lx + b.fy_y * ly
+        x[k + 1, 2] -= b.fx_t * lx + b.fy_t * ly
+        x[k + 1, 3] += car[k + 1].front * b.m_front * (b.sa * lx - b.ca * ly)
 
     # rail forces: G^-1 gamma - P^T (Q + coupler forces)
     for i in range(n):
@@ -311,33 +285,26 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
         lam_t[i, 1] = 0.0
         if truck_on[i, 0] == 0 and truck_on[i, 1] == 0:
             continue
+        w = wk[i]
         f0 = force[i, 0]
         f1 = force[i, 1]
         f2 = force[i, 2]
-        arm = car[i, L.DP]
+        arm = car[i].pivot
         if i < n - 1 and coupled[i]:
             lx = lam_c[i, 0]
             ly = lam_c[i, 1]
             f0 += lx
             f1 += ly
-            f2 += arm * (wk[i, L.W_ST] * lx - wk[i, L.W_CT] * ly)
+            f2 += arm * (w.st * lx - w.ct * ly)
         if i > 0 and coupled[i - 1]:
             lx = lam_c[i - 1, 0]
             ly = lam_c[i - 1, 1]
             f0 -= lx
             f1 -= ly
-            f2 -= arm * (wk[i, L.W_CT] * ly - wk[i, L.W_ST] * lx)
+            f2 -= arm * (w.ct * ly - w.st * lx)
         gf = gamma_t[i, 0] if truck_on[i, 0] else 0.0
         gr = gamma_t[i, 1] if truck_on[i, 1] else 0.0
         if truck_on[i, 0]:
-            lam_t[i, 0] = (
-                wk[i, L.W_G] * gf
-                + wk[i, L.W_G + 1] * gr
-                - (wk[i, L.W_P] * f0 + wk[i, L.W_P + 1] * f1 + wk[i, L.W_P + 2] * f2)
-            )
+            lam_t[i, 0] = w.g_ff * gf + w.g_fr * gr - (w.p_fx * f0 + w.p_fy * f1 + w.p_ft * f2)
         if truck_on[i, 1]:
-            lam_t[i, 1] = (
-                wk[i, L.W_G + 1] * gf
-                + wk[i, L.W_G + 2] * gr
-                - (wk[i, L.W_P + 3] * f0 + wk[i, L.W_P + 4] * f1 + wk[i, L.W_P + 5] * f2)
-            )
+            lam_t[i, 1] = w.g_fr * gf + w.g_rr * gr - (w.p_rx * f0 + w.p_ry * f1 + w.p_rt * f2)

@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, State, Work
 from derail_ros.engine.contacts import track_contacts
 from derail_ros.engine.dynamics import (
@@ -52,8 +51,6 @@ from derail_ros.engine.runge_kutta import (
 )
 from derail_ros.engine.trigonometry import angles
 
-F64 = NDArray[np.float64]
-
 # What `advance` stopped for.
 DONE, DRAIN, GROW_PAIRS, GROW_CONTACTS = 0, 1, 2, 3
 NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
@@ -83,61 +80,61 @@ def copy_items(to: NDArray[Any], what: NDArray[Any]) -> None:
 def plan_step(model: Model, state: State, work: Work) -> None:
     """Choose the size of the first trial, and note what limits it."""
     keep_separate()
-    par = model.par
-    trial = work.trial
-    t = state.clock[L.T]
+    par = model.par[0]
+    trial = work.trial[0]
+    t = state.clock[0].t
     copy_rows(work.truck_s, state.truck_s)
-    state.clock[L.T_ON] = t
+    state.clock[0].t_on = t
     # no corner may move further than its share of the buffer
     fastest = 1e-9
     for i in range(state.v.shape[0]):
-        rim = abs(state.v[i, 2]) * model.car[i, L.RADIUS]
+        rim = abs(state.v[i, 2]) * model.car[i].radius
         fastest = max(fastest, speed_of(state.v, i) + rim)
-    cap = min(par[L.H_MAX], par[L.STEP_SHARE] / fastest)
-    h = state.clock[L.H_NEXT]
-    trial[L.TRY_WANTED] = h
-    limit = L.LIMIT_ACCURACY
+    cap = min(par.h_max, par.step_share / fastest)
+    h = state.clock[0].h_next
+    trial.wanted = h
+    limit = layout.BY_ACCURACY
     if cap < h:
         h = cap
-        limit = L.LIMIT_LARGEST if h == par[L.H_MAX] else L.LIMIT_CAP
+        limit = layout.BY_LARGEST if h == par.h_max else layout.BY_CAP
     if model.table[META, GAMMA] == 0.0:  # an explicit method
         stable = longest_stable(model, state, work, h, model.table[META, BOUND])
         if stable < h:
             h = stable
-            limit = L.LIMIT_STABILITY
+            limit = layout.BY_STABILITY
     # land on a switched force exactly; a sliver before it is spread over two steps
     switch = min(next_push(model, t), next_application(state, t))
     if t + h >= switch:
         h = switch - t
-        limit = L.LIMIT_MOMENT
+        limit = layout.BY_MOMENT
     elif t + 2.0 * h > switch:
         h = 0.5 * (switch - t)
-    trial[L.TRY_SIZE] = h
-    trial[L.TRY_SWITCH] = switch
-    trial[L.TRY_LIMIT] = limit
-    trial[L.TRY_REJECTED] = 0.0
+    trial.size = h
+    trial.switch = switch
+    trial.limit = limit
+    trial.rejected = 0.0
 
 
 @inner_jit
 def try_stages(model: Model, state: State, work: Work) -> int:
     """Take the stages of a step and put its end, ``work.stage_q/v``, onto the constraints."""
     keep_separate()
-    trial = work.trial
-    h = trial[L.TRY_SIZE]
-    end = state.clock[L.T] + h
-    trial[L.TRY_END] = trial[L.TRY_SWITCH] if end >= trial[L.TRY_SWITCH] else end
-    trial[L.TRY_ERROR] = math.inf
+    trial = work.trial[0]
+    h = trial.size
+    end = state.clock[0].t + h
+    trial.end = trial.switch if end >= trial.switch else end
+    trial.error = math.inf
     # feet of the trucks start from the accepted state, whatever a rejected trial left
     copy_rows(state.truck_s, work.truck_s)
     if not take_stages(model, state, work, h):
         return INACCURATE
     if not error_at_end(model.table):
-        trial[L.TRY_ERROR] = step_error(model, state, work, h, stages_of(model.table))
-        if not trial[L.TRY_ERROR] <= 1.0:
+        trial.error = step_error(model, state, work, h, stages_of(model.table))
+        if not trial.error <= 1.0:
             return INACCURATE
-    trial[L.TRY_ENERGY] = stored_energy(model, state, work.stage_q, work.stage_v)
-    if model.par[L.PROJECT] != 0.0:
-        factors = last_stage_at_end(model.table) and trial[L.TRY_IMPLICIT] == 0.0
+    trial.energy = stored_energy(model, state, work.stage_q, work.stage_v)
+    if model.par[0].project != 0.0:
+        factors = last_stage_at_end(model.table) and trial.implicit == 0.0
         if not onto_constraints(model, state, work, work.stage_q, factors):
             return OFF_CONSTRAINTS
         project_velocities(model, state, work, work.stage_v)
@@ -151,17 +148,17 @@ def try_stages(model: Model, state: State, work: Work) -> int:
 def try_end(model: Model, state: State, work: Work) -> int:
     """Accelerations at the end of the step, and the error of methods that count them."""
     keep_separate()
-    trial = work.trial
+    trial = work.trial[0]
     stages = stages_of(model.table)
-    mode = FACTORED if model.par[L.PROJECT] != 0.0 else PLAIN
+    mode = FACTORED if model.par[0].project != 0.0 else PLAIN
     if not accelerations(
-        model, state, work, trial[L.TRY_END], work.stage_q, work.stage_v, work.kv[stages], mode
+        model, state, work, trial.end, work.stage_q, work.stage_v, work.kv[stages], mode
     ):
         return DEGENERATE
     if error_at_end(model.table):
         copy_rows(work.kq[stages], work.stage_v)
-        trial[L.TRY_ERROR] = step_error(model, state, work, trial[L.TRY_SIZE], stages + 1)
-        if not trial[L.TRY_ERROR] <= 1.0:
+        trial.error = step_error(model, state, work, trial.size, stages + 1)
+        if not trial.error <= 1.0:
             return INACCURATE
     return STANDS
 
@@ -172,13 +169,13 @@ def _end_at(model: Model, work: Work, share: float) -> int:
 
     A truck that stands on a break derails within the smallest step.
     """
-    trial = work.trial
-    size = max(share * trial[L.TRY_SIZE], model.par[L.H_MIN])
-    if not size < trial[L.TRY_SIZE]:
+    trial = work.trial[0]
+    size = max(share * trial.size, model.par[0].h_min)
+    if not size < trial.size:
         return STANDS
-    trial[L.TRY_SIZE] = size
-    trial[L.TRY_LIMIT] = L.LIMIT_MOMENT
-    trial[L.TRY_SWITCH] = math.inf
+    trial.size = size
+    trial.limit = layout.BY_MOMENT
+    trial.switch = math.inf
     return MOMENT_INSIDE
 
 
@@ -186,7 +183,7 @@ def _end_at(model: Model, work: Work, share: float) -> int:
 def locate_moment(model: Model, state: State, work: Work) -> int:
     """Find the first moment inside the step that its motion shows."""
     keep_separate()
-    h = work.trial[L.TRY_SIZE]
+    h = work.trial[0].size
     share = first_passing(model, state, work, h)
     share = min(share, first_limit(model, state, work, h))
     share = min(share, first_jump(model, state, work, h))
@@ -204,22 +201,22 @@ def locate_overload(model: Model, state: State, work: Work) -> int:
 def reject(model: Model, state: State, work: Work, verdict: int) -> int:
     """Choose a smaller size after a bad trial; an error code when it falls below the floor."""
     keep_separate()
-    trial = work.trial
-    state.cnt[L.REJECTED] += 1
-    trial[L.TRY_REJECTED] = 1.0
+    trial = work.trial[0]
+    state.cnt[0].rejected += 1
+    trial.rejected = 1.0
     shrink = 0.25
     code = SINGULAR
     if verdict == INACCURATE:
-        trial[L.TRY_LIMIT] = L.LIMIT_ACCURACY
-        error = trial[L.TRY_ERROR]
+        trial.limit = layout.BY_ACCURACY
+        error = trial.error
         shrink = 0.2
         code = NON_FINITE
         if math.isfinite(error):
             shrink = min(0.9, max(0.2, 0.85 * error ** -model.table[META, EXPONENT]))
             code = STEP_FLOOR
-    trial[L.TRY_SIZE] *= shrink
-    trial[L.TRY_WANTED] = trial[L.TRY_SIZE]
-    return code if trial[L.TRY_SIZE] < model.par[L.H_MIN] else DONE
+    trial.size *= shrink
+    trial.wanted = trial.size
+    return code if trial.size < model.par[0].h_min else DONE
 
 
 @inner_jit
@@ -243,66 +240,81 @@ def _keep_forces(state: State, work: Work) -> None:
 
 
 @inner_jit
+def _count_limit(cnt: Any, limit: float) -> None:
+    """Count a step by what has set its size."""
+    if limit == layout.BY_ACCURACY:
+        cnt.by_accuracy += 1
+    elif limit == layout.BY_CAP:
+        cnt.by_cap += 1
+    elif limit == layout.BY_MOMENT:
+        cnt.by_moment += 1
+    elif limit == layout.BY_STABILITY:
+        cnt.by_stability += 1
+    else:
+        cnt.by_largest += 1
+
+
+@inner_jit
 def take_over(model: Model, state: State, work: Work) -> None:
     """Make the end of the trial the accepted state, with its ledger and counters."""
     keep_separate()
-    trial = work.trial
-    clock = state.clock
-    cnt = state.cnt
-    h = trial[L.TRY_SIZE]
-    clock[L.T_PREV] = clock[L.T]
-    clock[L.T] = trial[L.TRY_END]
+    trial = work.trial[0]
+    clock = state.clock[0]
+    cnt = state.cnt[0]
+    h = trial.size
+    clock.t_prev = clock.t
+    clock.t = trial.end
     _keep_last(state)
     copy_rows(state.q, work.stage_q)
     copy_rows(state.v, work.stage_v)
-    for k in range(L.N_POWER):
+    for k in range(layout.N_POWER):
         state.energy[k] += h * work.mean_power[k]
-    moved = stored_energy(model, state, state.q, state.v) - trial[L.TRY_ENERGY]
-    state.energy[L.E_STAB_NET] += moved
-    state.energy[L.E_STAB_GROSS] += abs(moved)
-    cnt[L.STEP] += 1
-    cnt[int(trial[L.TRY_LIMIT])] += 1
-    cnt[L.IMPLICIT_STEPS] += int(trial[L.TRY_IMPLICIT])
+    moved = stored_energy(model, state, state.q, state.v) - trial.energy
+    state.energy[layout.E_STAB_NET] += moved
+    state.energy[layout.E_STAB_GROSS] += abs(moved)
+    cnt.steps += 1
+    _count_limit(cnt, trial.limit)
+    cnt.implicit += int(trial.implicit)
     copy_rows(state.a1, work.kv[stages_of(model.table)])
     copy_rows(state.a, state.a1)
     copy_items(state.power1, work.power)
     _keep_forces(state, work)
     gap, offset = constraint_error(model, state, work, state.q)
-    clock[L.MAX_GAP] = max(clock[L.MAX_GAP], gap)
-    clock[L.MAX_OFFSET] = max(clock[L.MAX_OFFSET], offset)
+    clock.max_gap = max(clock.max_gap, gap)
+    clock.max_offset = max(clock.max_offset, offset)
 
 
 @inner_jit
 def _next_size(model: Model, state: State, work: Work) -> None:
     """Propose the next size from the error; a step cut short for other reasons shrinks nothing."""
-    trial = work.trial
-    grow = 0.85 * max(trial[L.TRY_ERROR], 1e-10) ** -model.table[META, EXPONENT]
+    trial = work.trial[0]
+    grow = 0.85 * max(trial.error, 1e-10) ** -model.table[META, EXPONENT]
     grow = min(2.0, max(0.2, grow))
-    if trial[L.TRY_REJECTED] != 0.0:
+    if trial.rejected != 0.0:
         grow = min(grow, 1.0)
-    proposal = trial[L.TRY_SIZE] * grow
-    if trial[L.TRY_LIMIT] != L.LIMIT_ACCURACY:
-        proposal = max(proposal, trial[L.TRY_WANTED])
-    state.clock[L.H_NEXT] = min(max(proposal, model.par[L.H_MIN]), model.par[L.H_MAX])
+    proposal = trial.size * grow
+    if trial.limit != layout.BY_ACCURACY:
+        proposal = max(proposal, trial.wanted)
+    state.clock[0].h_next = min(max(proposal, model.par[0].h_min), model.par[0].h_max)
 
 
 @inner_jit
 def accept(model: Model, state: State, work: Work) -> int:
     """Go on to the end of the trial: contacts, constraints that go, events, the ledger."""
     keep_separate()
-    clock = state.clock
+    clock = state.clock[0]
     take_over(model, state, work)
-    track_contacts(model, state, work, clock[L.T], work.trial[L.TRY_SIZE])
+    track_contacts(model, state, work, clock.t, work.trial[0].size)
     changed = remove_constraints(model, state, work)
     note_progress(model, state, work)
-    if changed or clock[L.T] == work.trial[L.TRY_SWITCH]:
-        clock[L.T_ON] = clock[L.T]
-        if not accelerations(model, state, work, clock[L.T], state.q, state.v, state.a, PLAIN):
+    if changed or clock.t == work.trial[0].switch:
+        clock.t_on = clock.t
+        if not accelerations(model, state, work, clock.t, state.q, state.v, state.a, PLAIN):
             return SINGULAR
         _keep_forces(state, work)
-    if clock[L.E_INITIAL] > 0.0:
-        clock[L.MAX_RESIDUAL] = max(
-            clock[L.MAX_RESIDUAL], abs(energy_residual(model, state)) / clock[L.E_INITIAL]
+    if clock.initial_energy > 0.0:
+        clock.max_residual = max(
+            clock.max_residual, abs(energy_residual(model, state)) / clock.initial_energy
         )
     _next_size(model, state, work)
     return DONE if on_track(model, state) else TRACK_END
@@ -323,7 +335,7 @@ def _finite_end(work: Work, stages: int) -> bool:
 @inner_jit
 def step(model: Model, state: State, work: Work) -> int:
     """Take one accepted step. Returns DONE or one of the error codes."""
-    locate = model.par[L.LOCATE] != 0.0
+    locate = model.par[0].locate != 0.0
     plan_step(model, state, work)
     code = DONE
     while True:
@@ -358,18 +370,20 @@ def advance(model: Model, state: State, work: Work, t_target: float, max_steps: 
     event_room = 6 * n + state.arrival.shape[0] + 8
     taken = 0
     work.placed[0, 0] = math.nan
-    while state.clock[L.T] < t_target and taken < max_steps and state.cnt[L.STATUS] == L.RUNNING:
+    clock = state.clock[0]
+    cnt = state.cnt[0]
+    while clock.t < t_target and taken < max_steps and cnt.status == layout.RUNNING:
         if list_is_stale(model, state):
             if not rebuild(model, state, work):
                 return GROW_PAIRS
-        if state.contact.shape[0] - state.cnt[L.N_CONTACTS] < state.cnt[L.N_PAIRS]:
+        if state.contact.shape[0] - cnt.contacts < cnt.pairs:
             return GROW_CONTACTS
-        if work.event.shape[0] - state.cnt[L.N_EVENTS] < event_room:
+        if work.event.shape[0] - cnt.events < event_room:
             return DRAIN
         refresh_active(model, state, work)
         code = step(model, state, work)
         if code != DONE:
-            state.cnt[L.STATUS] = L.FAILED
+            cnt.status = layout.FAILED
             return code
         taken += 1
     return DONE

@@ -18,13 +18,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from derail_ros.engine import layout as L
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import Rows
 from derail_ros.engine.jit import jit
 from derail_ros.vocabulary.params import TrackParams
-
-F64 = NDArray[np.float64]
 
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(8)
 GX = tuple(0.5 * (x + 1.0) for x in _GAUSS_X.tolist())
@@ -36,19 +34,19 @@ rounding."""
 
 
 @jit
-def heading_at(track: F64, k: int, u: float) -> float:
+def heading_at(track: Rows, k: int, u: float) -> float:
     """Heading (rad) at the distance ``u`` (m) along piece ``k``."""
-    return track[k, L.TR_PSI] + (track[k, L.TR_K] + 0.5 * track[k, L.TR_DK] * u) * u
+    return track[k].psi + (track[k].kappa + 0.5 * track[k].dkappa * u) * u
 
 
 @jit
-def point_at(track: F64, k: int, u: float) -> tuple[float, float]:
+def point_at(track: Rows, k: int, u: float) -> tuple[float, float]:
     """Place (m) at the distance ``u`` (m) along piece ``k``."""
-    x0 = track[k, L.TR_X]
-    y0 = track[k, L.TR_Y]
-    psi = track[k, L.TR_PSI]
-    kappa = track[k, L.TR_K]
-    if track[k, L.TR_DK] == 0.0:
+    x0 = track[k].x
+    y0 = track[k].y
+    psi = track[k].psi
+    kappa = track[k].kappa
+    if track[k].dkappa == 0.0:
         if kappa == 0.0:
             return x0 + u * math.cos(psi), y0 + u * math.sin(psi)
         # chord of the arc, free of cancellation at small angles
@@ -65,18 +63,18 @@ def point_at(track: F64, k: int, u: float) -> tuple[float, float]:
 
 
 @jit
-def piece_of(track: F64, s: float, hint: int) -> int:
+def piece_of(track: Rows, s: float, hint: int) -> int:
     """Index of the piece that holds the track coordinate ``s``, searched from ``hint``."""
     k = min(max(hint, 0), track.shape[0] - 1)
-    while k > 0 and s < track[k, L.TR_S]:
+    while k > 0 and s < track[k].s:
         k -= 1
-    while k < track.shape[0] - 1 and s >= track[k + 1, L.TR_S]:
+    while k < track.shape[0] - 1 and s >= track[k + 1].s:
         k += 1
     return k
 
 
 @jit
-def locate(track: F64, x: float, y: float, s: float) -> tuple[float, float, float, float, float]:
+def locate(track: Rows, x: float, y: float, s: float) -> tuple[float, float, float, float, float]:
     """Foot point of (x, y) on the line, by Newton's method from the coordinate ``s`` (m).
 
     Returns ``(s, d, heading, kappa, residual)``: track coordinate, signed offset to the left (m),
@@ -92,10 +90,10 @@ def locate(track: F64, x: float, y: float, s: float) -> tuple[float, float, floa
     kappa = 0.0
     for _ in range(30):
         k = piece_of(track, s, k)
-        u = s - track[k, L.TR_S]
+        u = s - track[k].s
         px, py = point_at(track, k, u)
         h = heading_at(track, k, u)
-        kappa = track[k, L.TR_K] + track[k, L.TR_DK] * u
+        kappa = track[k].kappa + track[k].dkappa * u
         c = math.cos(h)
         n = math.sin(h)
         e = (x - px) * c + (y - py) * n
@@ -111,12 +109,12 @@ class Track:
 
     Attributes
     ----------
-    pieces : (P, N_TR) pieces as the kernels take them
+    pieces : (P,) TRACK, as the kernels take them
     start, end : track coordinates of its ends, m (infinite for the endless straight)
     """
 
     def __init__(self, params: TrackParams) -> None:
-        rows: list[list[float]] = []
+        rows: list[tuple[float, ...]] = []
         s, x, y, psi = (
             params.start_coordinate,
             params.start_x,
@@ -130,13 +128,13 @@ class Track:
             for j in range(parts):
                 length = seg.length / parts
                 kappa = seg.curvature_start + slope * length * j
-                row = [s, length, x, y, psi, kappa, slope]
-                one = np.array([row])
+                row = (s, length, x, y, psi, kappa, slope)
+                one = np.array([row], layout.TRACK)
                 x, y = point_at(one, 0, length)
                 psi = heading_at(one, 0, length)
                 s += length
                 rows.append(row)
-        self.pieces: F64 = np.array(rows, dtype=np.float64).reshape(-1, L.N_TR)
+        self.pieces: Rows = np.array(rows, layout.TRACK)
         self.start = params.start_coordinate if rows else -math.inf
         self.end = s if rows else math.inf
 
@@ -150,9 +148,9 @@ class Track:
         if len(self.pieces) == 0:
             return s, 0.0, 0.0, 0.0
         k = piece_of(self.pieces, s, 0)
-        u = s - self.pieces[k, L.TR_S]
+        u = s - self.pieces[k]["s"]
         x, y = point_at(self.pieces, k, u)
-        kappa = self.pieces[k, L.TR_K] + self.pieces[k, L.TR_DK] * u
+        kappa = self.pieces[k]["kappa"] + self.pieces[k]["dkappa"] * u
         return float(x), float(y), float(heading_at(self.pieces, k, u)), float(kappa)
 
     def locate(self, x: float, y: float, hint: float | None = None) -> tuple[float, float]:

@@ -10,13 +10,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
+from derail_ros.engine.arrays import F64, Rows
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
-
-F64 = NDArray[np.float64]
 
 _TWO_OVER_PI = 2.0 / math.pi
 # pi/2 in three parts of 33 bits and a rest (fdlibm's pio2_1, pio2_2, pio2_3)
@@ -79,7 +74,7 @@ def sincos(x: float) -> tuple[float, float]:
 
 
 @inner_jit
-def angles(q: F64, wk: F64, ang: F64) -> None:
+def angles(q: F64, wk: Rows, ang: F64) -> None:
     """Cosines and sines of yaw and coupler angles of every car into ``wk``.
 
     ``ang``: (3, 3 N) scratch: angles, sines, cosines.
@@ -95,9 +90,9 @@ def angles(q: F64, wk: F64, ang: F64) -> None:
         ang[1, m] = s
         ang[2, m] = c
     for i in range(n):
-        wk[i, L.W_CT] = ang[2, 3 * i]
-        wk[i, L.W_ST] = ang[1, 3 * i]
-        wk[i, L.W_CA] = ang[2, 3 * i + 1]
-        wk[i, L.W_SA] = ang[1, 3 * i + 1]
-        wk[i, L.W_CB] = ang[2, 3 * i + 2]
-        wk[i, L.W_SB] = ang[1, 3 * i + 2]
+        wk[i].ct = ang[2, 3 * i]
+        wk[i].st = ang[1, 3 * i]
+        wk[i].ca = ang[2, 3 * i + 1]
+        wk[i].sa = ang[1, 3 * i + 1]
+        wk[i].cb = ang[2, 3 * i + 2]
+        wk[i].sb = ang[1, 3 * i + 2]

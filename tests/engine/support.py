@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from derail_ros.engine import PlanarSimulation
-from derail_ros.engine import layout as L
 from derail_ros.engine.dynamics import project_positions, project_velocities
 from derail_ros.engine.energy import kinetic_energy
 from derail_ros.engine.forces.couplers import coupler_energy
@@ -178,7 +177,7 @@ def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
             y = s.q[i, 1] + r * math.sin(s.q[i, 2])
             s.truck_s[i, k] = run.track.locate(x, y)[0]
     if not remember:
-        s.cnt[L.N_PAIRS] = 0
+        s.cnt["pairs"] = 0
     run._grow_until(rebuild(run._model, s, run._work))
     assert run._evaluate()
     for last, now in (
@@ -192,7 +191,7 @@ def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
         (s.power1, s.power),
     ):
         last[...] = now
-    s.clock[L.E_INITIAL] = kinetic_energy(run._model, s.v) + sum(
+    s.clock["initial_energy"] = kinetic_energy(run._model, s.v) + sum(
         coupler_energy(run._model, s.coupled, s.q)
     )
     return run
@@ -213,7 +212,7 @@ def project(run):
 
 def propose(run, h):
     """Make the next step one of ``h``, if nothing else shortens it."""
-    run._state.clock[L.H_NEXT] = h
+    run._state.clock["h_next"] = h
     return run
 
 

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import (
     cast_iron_factor,
@@ -21,8 +18,6 @@ from derail_ros.engine.laws.brake import (
     rise,
     smooth_direction,
 )
-
-F64 = NDArray[np.float64]
 
 LARGEST_BRAKING = 20.0
 """Bound on the brake force of a body over its mass, m/s^2: says where damping may matter."""
@@ -40,24 +35,24 @@ def brake_force(model: Model, state: State, i: int, t: float, speed: float) -> f
         return 0.0
     unit = model.unit
     arrival = state.arrival
-    t_on = state.clock[L.T_ON]
-    rise_time = model.par[L.BRAKE_RISE]
+    t_on = state.clock[0].t_on
+    rise_time = model.par[0].brake_rise
     composition = composition_factor(speed)
     total = 0.0
     for u in range(model.unit_start[i], model.unit_start[i + 1]):
-        shoe = unit[u, L.U_SHOE]
+        shoe = unit[u].shoe
         if shoe == 0.0:
             continue
-        k = rise(t, arrival[u, L.ARR_CONV], rise_time)
-        if t_on >= arrival[u, L.ARR_INST]:
+        k = rise(t, arrival[u, layout.ARR_CONV], rise_time)
+        if t_on >= arrival[u, layout.ARR_INST]:
             k = 1.0
-        f = k * unit[u, L.U_FORCE]
+        f = k * unit[u].force
         f *= composition if shoe == 1.0 else cast_iron_factor(speed)
-        if t > arrival[u, L.ARR_TL] or t_on >= arrival[u, L.ARR_INST_TL]:
-            k = rise(t, arrival[u, L.ARR_TL], rise_time)
-            if t_on >= arrival[u, L.ARR_INST_TL]:
+        if t > arrival[u, layout.ARR_TL] or t_on >= arrival[u, layout.ARR_INST_TL]:
+            k = rise(t, arrival[u, layout.ARR_TL], rise_time)
+            if t_on >= arrival[u, layout.ARR_INST_TL]:
                 k = 1.0
-            f = max(f, k * unit[u, L.U_TRACTION])
+            f = max(f, k * unit[u].traction)
         total += f
     return total * (0.5 * trucks)
 
@@ -69,7 +64,7 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
     force = work.force
     report = work.report
     reporting = report.shape[0] > 0
-    eps = model.par[L.G_EPS]
+    eps = model.par[0].ground_eps
     power = 0.0
     for i in range(v.shape[0]):
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
@@ -80,8 +75,8 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
             force[i, 1] -= g * v[i, 1]
             power += g * speed * speed
             if reporting:
-                report[i, L.R_BRAKE] = f * speed * smooth_direction(speed, eps)
-    work.power[L.E_BRAKE] = power
+                report[i, layout.R_BRAKE] = f * speed * smooth_direction(speed, eps)
+    work.power[layout.E_BRAKE] = power
 
 
 @inner_jit
@@ -93,9 +88,9 @@ def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> N
     """
     keep_separate()
     wk = work.wk
-    eps = model.par[L.G_EPS]
+    eps = model.par[0].ground_eps
     for i in range(v.shape[0]):
-        if wk[i, L.W_STIFF] == 0.0:
+        if wk[i].stiff == 0.0:
             continue
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
         f = brake_force(model, state, i, t, speed)
@@ -108,9 +103,9 @@ def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> N
         if speed > 0.0:
             ux = v[i, 0] / speed
             uy = v[i, 1] / speed
-        wk[i, L.W_C] += across + (along - across) * ux * ux
-        wk[i, L.W_C + 1] += (along - across) * ux * uy
-        wk[i, L.W_C + 3] += across + (along - across) * uy * uy
+        wk[i].c_xx += across + (along - across) * ux * ux
+        wk[i].c_xy += (along - across) * ux * uy
+        wk[i].c_yy += across + (along - across) * uy * uy
 
 
 @jit
@@ -122,13 +117,13 @@ def apply_brakes(
     The signal runs ``backward`` (to the rear) and / or ``forward``. A brake can only be raised:
     each unit keeps its earliest arrival of each kind.
     """
-    speed = model.par[L.BRAKE_SPEED]
+    speed = model.par[0].brake_speed
     for u in range(state.arrival.shape[0]):
-        d = model.unit[u, L.U_DIST] - at
+        d = model.unit[u].distance - at
         if (d > 0.0 and not backward) or (d < 0.0 and not forward):
             continue
-        arrival = t + model.unit[u, L.U_DELAY]
-        if kind == L.ARR_CONV or kind == L.ARR_TL:
+        arrival = t + model.unit[u].delay
+        if kind == layout.ARR_CONV or kind == layout.ARR_TL:
             arrival += abs(d) / speed
         state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
 
@@ -138,7 +133,7 @@ def next_application(state: State, t: float) -> float:
     """Next time after ``t`` at which an instant application begins, s; infinity without one."""
     soon = math.inf
     for u in range(state.arrival.shape[0]):
-        for kind in (L.ARR_INST, L.ARR_INST_TL):
+        for kind in (layout.ARR_INST, layout.ARR_INST_TL):
             if t < state.arrival[u, kind] < soon:
                 soon = state.arrival[u, kind]
     return soon

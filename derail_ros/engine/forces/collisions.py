@@ -12,11 +12,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, Rows, State, Work
 from derail_ros.engine.interpolation import cubic_root
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.laws.contact import (
@@ -31,7 +28,6 @@ from derail_ros.engine.laws.contact import (
     speed_factor,
 )
 
-F64 = NDArray[np.float64]
 Frame = tuple[float, float, float, float]
 
 
@@ -55,15 +51,15 @@ def pair_frames(
 
 
 @inner_jit
-def within(car: F64, i: int, j: int, seen: tuple[Frame, Frame], room: float) -> bool:
+def within(car: Rows, i: int, j: int, seen: tuple[Frame, Frame], room: float) -> bool:
     """No axis of the two rectangles shows a gap above ``room`` (m) between them."""
     (ju, jw, c, s), (iu, iw, _, _) = seen
     c = abs(c)
     s = abs(s)
-    a_i = car[i, L.HALF_L]
-    b_i = car[i, L.HALF_W]
-    a_j = car[j, L.HALF_L]
-    b_j = car[j, L.HALF_W]
+    a_i = car[i].half_l
+    b_i = car[i].half_w
+    a_j = car[j].half_l
+    b_j = car[j].half_w
     return not (
         abs(ju) > a_j + room + a_i * c + b_i * s
         or abs(jw) > b_j + room + a_i * s + b_i * c
@@ -73,24 +69,24 @@ def within(car: F64, i: int, j: int, seen: tuple[Frame, Frame], room: float) -> 
 
 
 @inner_jit
-def corner_of(car: F64, i: int, corner: int) -> tuple[float, float]:
+def corner_of(car: Rows, i: int, corner: int) -> tuple[float, float]:
     """Place of a corner of car ``i`` along and across it, m.
 
     0 front left, 1 front right, 2 rear left, 3 rear right.
     """
     return (
-        car[i, L.HALF_L] if corner < 2 else -car[i, L.HALF_L],
-        car[i, L.HALF_W] if corner % 2 == 0 else -car[i, L.HALF_W],
+        car[i].half_l if corner < 2 else -car[i].half_l,
+        car[i].half_w if corner % 2 == 0 else -car[i].half_w,
     )
 
 
 @inner_jit
-def clear(pair: F64, p: int) -> None:
+def clear(pair: Rows, p: int) -> None:
     """Forget the forces of the pair in row ``p``."""
-    pair[p, L.P_FX] = 0.0
-    pair[p, L.P_FY] = 0.0
-    pair[p, L.P_FMAX] = 0.0
-    pair[p, L.P_POWER] = 0.0
+    pair[p].fx = 0.0
+    pair[p].fy = 0.0
+    pair[p].peak = 0.0
+    pair[p].power = 0.0
 
 
 @inner_jit
@@ -114,7 +110,7 @@ def _report_corner(
     report: F64, i: int, corner: int, force: float, gap: float, closing: float, other: int
 ) -> None:
     """Keep the strongest contact of a corner for the report."""
-    base = L.R_CORNER + 4 * corner
+    base = layout.R_CORNER + 4 * corner
     if force > report[i, base]:
         report[i, base] = force
         report[i, base + 1] = gap
@@ -128,9 +124,9 @@ def _corner_contacts(
     state: State,
     q: F64,
     v: F64,
-    wk: F64,
+    wk: Rows,
     force: F64,
-    pair: F64,
+    pair: Rows,
     report: F64,
     p: int,
     i: int,
@@ -144,16 +140,16 @@ def _corner_contacts(
     treated only when it is not, so that it is done once.
     """
     keep_separate()
-    par = model.par
+    par = model.par[0]
     car = model.car
     mask = state.mask
-    d_b = par[L.C_BUFFER]
-    a_i = car[i, L.HALF_L]
-    b_i = car[i, L.HALF_W]
-    a_j = car[j, L.HALF_L]
-    b_j = car[j, L.HALF_W]
-    cj = wk[j, L.W_CT]
-    sj = wk[j, L.W_ST]
+    d_b = par.buffer
+    a_i = car[i].half_l
+    b_i = car[i].half_w
+    a_j = car[j].half_l
+    b_j = car[j].half_w
+    cj = wk[j].ct
+    sj = wk[j].st
     u0, w0, c, s = seen
     for corner in range(4):
         u, w = corner_of(car, i, corner)
@@ -203,15 +199,15 @@ def _corner_contacts(
             other_corner = (0 if su > 0.0 else 2) + (0 if sw > 0.0 else 1)
         if gap >= d_b:
             continue
-        px = q[i, 0] + wk[i, L.W_CT] * u - wk[i, L.W_ST] * w
-        py = q[i, 1] + wk[i, L.W_ST] * u + wk[i, L.W_CT] * w
+        px = q[i, 0] + wk[i].ct * u - wk[i].st * w
+        py = q[i, 1] + wk[i].st * u + wk[i].ct * w
         nx = cj * nu - sj * nw
         ny = sj * nu + cj * nw
         fpx = px - gap * nx
         fpy = py - gap * ny
         closing = speed_along(v, q, j, fpx, fpy, nx, ny) - speed_along(v, q, i, px, py, nx, ny)
-        f = gap_force(gap, par[L.C_FMAX], par[L.C_DC], d_b, int(par[L.C_LAW])) * speed_factor(
-            closing, par[L.C_C1], par[L.C_C2], par[L.C_C3]
+        f = gap_force(gap, par.force_max, par.half_distance, d_b, int(par.gap_law)) * speed_factor(
+            closing, par.c1, par.c2, par.c3
         )
         if f <= 0.0:
             continue
@@ -220,24 +216,24 @@ def _corner_contacts(
         mi = _push(force, q, i, px, py, fx, fy)
         mj = _push(force, q, j, fpx, fpy, -fx, -fy)
         sign = -1.0 if second else 1.0
-        pair[p, L.P_FX] += sign * fx
-        pair[p, L.P_FY] += sign * fy
-        pair[p, L.P_POWER] += f * closing
-        if f > pair[p, L.P_FMAX]:
-            pair[p, L.P_FMAX] = f
-            pair[p, L.P_CORNER] = corner + (4 if second else 0)
-            pair[p, L.P_X] = px
-            pair[p, L.P_Y] = py
-            pair[p, L.P_NX] = sign * nx
-            pair[p, L.P_NY] = sign * ny
-            pair[p, L.P_CLOSING] = closing
+        pair[p].fx += sign * fx
+        pair[p].fy += sign * fy
+        pair[p].power += f * closing
+        if f > pair[p].peak:
+            pair[p].peak = f
+            pair[p].corner = corner + (4 if second else 0)
+            pair[p].x = px
+            pair[p].y = py
+            pair[p].nx = sign * nx
+            pair[p].ny = sign * ny
+            pair[p].closing = closing
         if report.shape[0]:
-            report[i, L.R_COLLISION] += fx
-            report[i, L.R_COLLISION + 1] += fy
-            report[i, L.R_COLLISION + 2] += mi
-            report[j, L.R_COLLISION] -= fx
-            report[j, L.R_COLLISION + 1] -= fy
-            report[j, L.R_COLLISION + 2] += mj
+            report[i, layout.R_COLLISION] += fx
+            report[i, layout.R_COLLISION + 1] += fy
+            report[i, layout.R_COLLISION + 2] += mi
+            report[j, layout.R_COLLISION] -= fx
+            report[j, layout.R_COLLISION + 1] -= fy
+            report[j, layout.R_COLLISION + 2] += mj
             _report_corner(report, i, corner, f, gap, closing, j)
             if other_corner >= 0:
                 _report_corner(report, j, other_corner, f, gap, closing, i)
@@ -249,9 +245,9 @@ def pair_contacts(
     state: State,
     q: F64,
     v: F64,
-    wk: F64,
+    wk: Rows,
     force: F64,
-    pair: F64,
+    pair: Rows,
     report: F64,
     p: int,
     seen: tuple[Frame, Frame],
@@ -277,15 +273,15 @@ def collision_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> 
         p = work.active[a]
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
-        if pair[p, L.P_NEAR] != 0.0:
+        if pair[p].near != 0.0:
             clear(pair, p)
-            pair[p, L.P_NEAR] = 0.0
-        seen = pair_frames(q, i, j, wk[i, L.W_CT], wk[i, L.W_ST], wk[j, L.W_CT], wk[j, L.W_ST])
-        if within(model.car, i, j, seen, model.par[L.C_BUFFER]):
-            pair[p, L.P_NEAR] = 1.0
+            pair[p].near = 0.0
+        seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
+        if within(model.car, i, j, seen, model.par[0].buffer):
+            pair[p].near = 1.0
             pair_contacts(model, state, q, v, wk, work.force, pair, work.report, p, seen)
-            power += pair[p, L.P_POWER]
-    work.power[L.E_COLLISION] = power
+            power += pair[p].power
+    work.power[layout.E_COLLISION] = power
 
 
 # Moments inside a step -----------------------------------------------------------------------
@@ -336,27 +332,27 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
     The step's end is in ``work.stage_q/v``, its angles in ``work.wk``.
     """
     keep_separate()
-    par = model.par
+    par = model.par[0]
     car = model.car
     wk = work.wk
-    reach = par[L.C_BUFFER]
-    least = JUMP * par[L.C_FMAX]
+    reach = par.buffer
+    least = JUMP * par.force_max
     share = 1.0
     for a in range(1, 1 + work.active[0]):
         p = work.active[a]
-        if state.pair[p, L.P_NEAR] == 0.0:
+        if state.pair[p].near == 0.0:
             continue
         for side in range(2):
             i = state.pairs[p, side]
             j = state.pairs[p, 1 - side]
-            a_i = car[i, L.HALF_L]
-            b_i = car[i, L.HALF_W]
-            a_j = car[j, L.HALF_L]
-            b_j = car[j, L.HALF_W]
-            ci = wk[i, L.W_CT]
-            si = wk[i, L.W_ST]
-            cj = wk[j, L.W_CT]
-            sj = wk[j, L.W_ST]
+            a_i = car[i].half_l
+            b_i = car[i].half_w
+            a_j = car[j].half_l
+            b_j = car[j].half_w
+            ci = wk[i].ct
+            si = wk[i].st
+            cj = wk[j].ct
+            sj = wk[j].st
             ci0 = math.cos(state.q[i, 2])
             si0 = math.sin(state.q[i, 2])
             cj0 = math.cos(state.q[j, 2])
@@ -387,7 +383,7 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
                         if gap >= reach:
                             continue
                         force = gap_force(
-                            gap, par[L.C_FMAX], par[L.C_DC], reach, int(par[L.C_LAW])
+                            gap, par.force_max, par.half_distance, reach, int(par.gap_law)
                         )
                         if force < least:
                             continue

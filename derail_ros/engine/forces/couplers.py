@@ -11,53 +11,47 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, U8, Model, Rows, State, Work
 from derail_ros.engine.interpolation import LOCATED, cubic_root
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.joint import joint_energy, joint_moment
 from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
 from derail_ros.engine.laws.striker import spring_energy, spring_force
 
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-
 
 @inner_jit
 def _moment(model: Model, i: int, angle: float) -> float:
     """Moment of the knuckles behind car ``i`` on its rear coupler, N m."""
     kn = model.knuckle
-    if model.par[L.JOINT_HELD] != 0.0:
+    if model.par[0].joint_held != 0.0:
         return joint_moment(
-            angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT],
-            kn[i, L.KN_WIDENING], kn[i, L.KN_TOP],
+            angle, kn[i].c0, kn[i].c1, kn[i].c2, kn[i].root,
+            kn[i].widening, kn[i].top,
         )  # fmt: skip
-    return knuckle_moment(angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT])
+    return knuckle_moment(angle, kn[i].c0, kn[i].c1, kn[i].c2, kn[i].root)
 
 
 @inner_jit
 def _energy(model: Model, i: int, angle: float) -> float:
     """Energy in the knuckles behind car ``i``, J."""
     kn = model.knuckle
-    if model.par[L.JOINT_HELD] != 0.0:
+    if model.par[0].joint_held != 0.0:
         return joint_energy(
-            angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT],
-            kn[i, L.KN_WIDENING], kn[i, L.KN_TOP],
+            angle, kn[i].c0, kn[i].c1, kn[i].c2, kn[i].root,
+            kn[i].widening, kn[i].top,
         )  # fmt: skip
-    return knuckle_energy(angle, kn[i, L.KN_0], kn[i, L.KN_1], kn[i, L.KN_2], kn[i, L.KN_ROOT])
+    return knuckle_energy(angle, kn[i].c0, kn[i].c1, kn[i].c2, kn[i].root)
 
 
 @inner_jit
-def _striker(car: F64, q: F64, v: F64, i: int, end: int) -> tuple[float, float]:
+def _striker(striker: Rows, q: F64, v: F64, i: int, end: int) -> tuple[float, float]:
     """Force of a striker of car ``i`` (``end`` 0 front, 1 rear), N, and its damper's power, W."""
-    s = L.REAR * end
-    x = car[i, L.ARM + s] * (q[i, 3 + end] - q[i, 2])
-    rate = car[i, L.ARM + s] * (v[i, 3 + end] - v[i, 2])
-    spring = spring_force(x, car[i, L.OPEN + s], car[i, L.K1 + s], car[i, L.K2 + s])
-    return spring + car[i, L.DAMP + s] * rate, car[i, L.DAMP + s] * rate * rate
+    s = striker[i, end]
+    x = s.arm * (q[i, 3 + end] - q[i, 2])
+    rate = s.arm * (v[i, 3 + end] - v[i, 2])
+    spring = spring_force(x, s.opening, s.k1, s.k2)
+    return spring + s.damping * rate, s.damping * rate * rate
 
 
 @inner_jit
@@ -65,34 +59,34 @@ def coupler_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> No
     """Set ``work.force`` to the forces of strikers and knuckles."""
     keep_separate()
     n = q.shape[0]
-    car = model.car
+    striker = model.striker
     force = work.force
     report = work.report
     reporting = report.shape[0] > 0
     power = 0.0
     for i in range(n):
-        front, lost_front = _striker(car, q, v, i, 0)
-        rear, lost_rear = _striker(car, q, v, i, 1)
+        front, lost_front = _striker(striker, q, v, i, 0)
+        rear, lost_rear = _striker(striker, q, v, i, 1)
         power += lost_front
         power += lost_rear
-        arm_front = car[i, L.ARM]
-        arm_rear = car[i, L.ARM + L.REAR]
+        arm_front = striker[i, 0].arm
+        arm_rear = striker[i, 1].arm
         force[i, 0] = 0.0
         force[i, 1] = 0.0
         force[i, 2] = arm_front * front + arm_rear * rear
         force[i, 3] = -arm_front * front
         force[i, 4] = -arm_rear * rear
         if reporting:
-            report[i, L.R_STRIKER] = front
-            report[i, L.R_STRIKER + 1] = rear
+            report[i, layout.R_STRIKER] = front
+            report[i, layout.R_STRIKER + 1] = rear
     for i in range(n - 1):
         if state.coupled[i]:
             moment = _moment(model, i, q[i, 4] - q[i + 1, 3])
             force[i, 4] += moment
             force[i + 1, 3] -= moment
             if reporting:
-                report[i, L.R_KNUCKLE] = moment
-    work.power[L.E_DAMPER] = power
+                report[i, layout.R_KNUCKLE] = moment
+    work.power[layout.E_DAMPER] = power
 
 
 @jit
@@ -101,12 +95,11 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
     striker = 0.0
     knuckle = 0.0
     n = q.shape[0]
-    car = model.car
     for i in range(n):
         for end in range(2):
-            s = L.REAR * end
-            x = car[i, L.ARM + s] * (q[i, 3 + end] - q[i, 2])
-            striker += spring_energy(x, car[i, L.OPEN + s], car[i, L.K1 + s], car[i, L.K2 + s])
+            s = model.striker[i, end]
+            x = s.arm * (q[i, 3 + end] - q[i, 2])
+            striker += spring_energy(x, s.opening, s.k1, s.k2)
         if i < n - 1 and coupled[i]:
             knuckle += _energy(model, i, q[i, 4] - q[i + 1, 3])
     return striker, knuckle
@@ -116,25 +109,25 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
 
 
 @inner_jit
-def rear_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+def rear_rate(car: Rows, v: F64, wk: Rows, k: int) -> tuple[float, float]:
     """Velocity of the rear face of car ``k``, m/s."""
     return (
-        v[k, 0] + car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] + car[k, L.DCR] * wk[k, L.W_SB] * v[k, 4],
-        v[k, 1] - car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] - car[k, L.DCR] * wk[k, L.W_CB] * v[k, 4],
+        v[k, 0] + car[k].pivot * wk[k].st * v[k, 2] + car[k].rear * wk[k].sb * v[k, 4],
+        v[k, 1] - car[k].pivot * wk[k].ct * v[k, 2] - car[k].rear * wk[k].cb * v[k, 4],
     )
 
 
 @inner_jit
-def front_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+def front_rate(car: Rows, v: F64, wk: Rows, k: int) -> tuple[float, float]:
     """Velocity of the front face of car ``k``, m/s."""
     return (
-        v[k, 0] - car[k, L.DP] * wk[k, L.W_ST] * v[k, 2] - car[k, L.DCF] * wk[k, L.W_SA] * v[k, 3],
-        v[k, 1] + car[k, L.DP] * wk[k, L.W_CT] * v[k, 2] + car[k, L.DCF] * wk[k, L.W_CA] * v[k, 3],
+        v[k, 0] - car[k].pivot * wk[k].st * v[k, 2] - car[k].front * wk[k].sa * v[k, 3],
+        v[k, 1] + car[k].pivot * wk[k].ct * v[k, 2] + car[k].front * wk[k].ca * v[k, 3],
     )
 
 
 @inner_jit
-def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
+def coupling_rate(car: Rows, v: F64, wk: Rows, k: int) -> tuple[float, float]:
     """``J v`` of coupling ``k``: rear face of car ``k`` less front face of ``k + 1``, m/s."""
     bx, by = rear_rate(car, v, wk, k)
     fx, fy = front_rate(car, v, wk, k + 1)
@@ -142,23 +135,23 @@ def coupling_rate(car: F64, v: F64, wk: F64, k: int) -> tuple[float, float]:
 
 
 @inner_jit
-def coupling_gap(car: F64, q: F64, wk: F64, k: int) -> tuple[float, float]:
+def coupling_gap(car: Rows, q: F64, wk: Rows, k: int) -> tuple[float, float]:
     """Rear face of car ``k`` less front face of car ``k + 1``, m."""
     gx = (
         q[k, 0]
         - q[k + 1, 0]
-        - car[k, L.DP] * wk[k, L.W_CT]
-        - car[k, L.DCR] * wk[k, L.W_CB]
-        - car[k + 1, L.DP] * wk[k + 1, L.W_CT]
-        - car[k + 1, L.DCF] * wk[k + 1, L.W_CA]
+        - car[k].pivot * wk[k].ct
+        - car[k].rear * wk[k].cb
+        - car[k + 1].pivot * wk[k + 1].ct
+        - car[k + 1].front * wk[k + 1].ca
     )
     gy = (
         q[k, 1]
         - q[k + 1, 1]
-        - car[k, L.DP] * wk[k, L.W_ST]
-        - car[k, L.DCR] * wk[k, L.W_SB]
-        - car[k + 1, L.DP] * wk[k + 1, L.W_ST]
-        - car[k + 1, L.DCF] * wk[k + 1, L.W_SA]
+        - car[k].pivot * wk[k].st
+        - car[k].rear * wk[k].sb
+        - car[k + 1].pivot * wk[k + 1].st
+        - car[k + 1].front * wk[k + 1].sa
     )
     return gx, gy
 
@@ -169,34 +162,24 @@ def coupling_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> No
 
     With Baumgarte's terms unless positions are projected.
     """
-    par = model.par
+    par = model.par[0]
     car = model.car
     wk = work.wk
-    stabilize = par[L.PROJECT] == 0.0
+    stabilize = par.project == 0.0
     for k in range(q.shape[0] - 1):
         if state.coupled[k] == 0:
             continue
-        w1 = car[k, L.DP] * v[k, 2] * v[k, 2]
-        w2 = car[k, L.DCR] * v[k, 4] * v[k, 4]
-        w3 = car[k + 1, L.DP] * v[k + 1, 2] * v[k + 1, 2]
-        w4 = car[k + 1, L.DCF] * v[k + 1, 3] * v[k + 1, 3]
-        gx = -(
-            w1 * wk[k, L.W_CT]
-            + w2 * wk[k, L.W_CB]
-            + w3 * wk[k + 1, L.W_CT]
-            + w4 * wk[k + 1, L.W_CA]
-        )
-        gy = -(
-            w1 * wk[k, L.W_ST]
-            + w2 * wk[k, L.W_SB]
-            + w3 * wk[k + 1, L.W_ST]
-            + w4 * wk[k + 1, L.W_SA]
-        )
+        w1 = car[k].pivot * v[k, 2] * v[k, 2]
+        w2 = car[k].rear * v[k, 4] * v[k, 4]
+        w3 = car[k + 1].pivot * v[k + 1, 2] * v[k + 1, 2]
+        w4 = car[k + 1].front * v[k + 1, 3] * v[k + 1, 3]
+        gx = -(w1 * wk[k].ct + w2 * wk[k].cb + w3 * wk[k + 1].ct + w4 * wk[k + 1].ca)
+        gy = -(w1 * wk[k].st + w2 * wk[k].sb + w3 * wk[k + 1].st + w4 * wk[k + 1].sa)
         if stabilize:
             rx, ry = coupling_rate(car, v, wk, k)
             px, py = coupling_gap(car, q, wk, k)
-            gx -= par[L.B_VEL] * rx + par[L.B_POS] * px
-            gy -= par[L.B_VEL] * ry + par[L.B_POS] * py
+            gx -= par.baumgarte_v * rx + par.baumgarte_q * px
+            gy -= par.baumgarte_v * ry + par.baumgarte_q * py
         work.gamma_c[k, 0] = gx
         work.gamma_c[k, 1] = gy
 
@@ -220,8 +203,8 @@ def first_limit(model: Model, state: State, work: Work, h: float) -> float:
             continue
         n0 = state.q[i, 4] - state.q[i + 1, 3]
         n1 = work.stage_q[i, 4] - work.stage_q[i + 1, 3]
-        g0 = abs(n0) - model.knuckle[i, L.KN_LIMIT]
-        g1 = abs(n1) - model.knuckle[i, L.KN_LIMIT]
+        g0 = abs(n0) - model.knuckle[i].limit
+        g1 = abs(n1) - model.knuckle[i].limit
         if g1 > LOCATED and g0 <= 0.0:
             d0 = h * math.copysign(1.0, n0) * (state.v[i, 4] - state.v[i + 1, 3])
             d1 = h * math.copysign(1.0, n1) * (work.stage_v[i, 4] - work.stage_v[i + 1, 3])
@@ -258,27 +241,26 @@ def first_kink(model: Model, state: State, work: Work, h: float) -> float:
     Their forces have a kink there, which limits the order of a step with stiff strikers.
     """
     keep_separate()
-    car = model.car
     knuckle = model.knuckle
     q0 = state.q
     v0 = state.v
     q1 = work.stage_q
     v1 = work.stage_v
-    force = KINK * model.par[L.C_FMAX]
+    force = KINK * model.par[0].force_max
     share = 1.0
     n = q0.shape[0]
     for i in range(n):
         for end in range(2):
-            s = L.REAR * end
-            arm = car[i, L.ARM + s]
+            s = model.striker[i, end]
+            arm = s.arm
             share = min(share, _engages(
                 arm * (q0[i, 3 + end] - q0[i, 2]), h * arm * (v0[i, 3 + end] - v0[i, 2]),
                 arm * (q1[i, 3 + end] - q1[i, 2]), h * arm * (v1[i, 3 + end] - v1[i, 2]),
-                car[i, L.OPEN + s], car[i, L.K2 + s], force,
+                s.opening, s.k2, force,
             ))  # fmt: skip
         if i < n - 1 and state.coupled[i]:
-            root = knuckle[i, L.KN_ROOT]
-            slope = abs(knuckle[i, L.KN_1] + 2.0 * knuckle[i, L.KN_2] * root)
+            root = knuckle[i].root
+            slope = abs(knuckle[i].c1 + 2.0 * knuckle[i].c2 * root)
             share = min(share, _engages(
                 q0[i, 4] - q0[i + 1, 3], h * (v0[i, 4] - v0[i + 1, 3]),
                 q1[i, 4] - q1[i + 1, 3], h * (v1[i, 4] - v1[i + 1, 3]),

@@ -9,16 +9,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.forces.track import truck_arm
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.laws.ground import BODY_POINTS, drag, drag_slopes
-
-F64 = NDArray[np.float64]
 
 
 @inner_jit
@@ -43,14 +38,14 @@ def _gather(model: Model, state: State, work: Work, v: F64, stiff: bool) -> int:
     m = 0
     for i in range(n):
         work.ground_first[i] = m
-        if (truck_on[i, 0] and truck_on[i, 1]) or (stiff and wk[i, L.W_STIFF] == 0.0):
+        if (truck_on[i, 0] and truck_on[i, 1]) or (stiff and wk[i].stiff == 0.0):
             continue
-        weight = model.par[L.G_SCALE] * car[i, L.MASS] * model.par[L.GRAVITY]
-        nx = -v[i, 2] * wk[i, L.W_ST]
-        ny = v[i, 2] * wk[i, L.W_CT]
+        weight = model.par[0].ground_scale * car[i].mass * model.par[0].gravity
+        nx = -v[i, 2] * wk[i].st
+        ny = v[i, 2] * wk[i].ct
         if lies_free(state, i):
             for k in range(BODY_POINTS):
-                r = car[i, L.HALF_L] * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
+                r = car[i].half_l * ((2.0 * k + 1.0) / BODY_POINTS - 1.0)
                 ground[0, m + k] = v[i, 0] + r * nx
                 ground[1, m + k] = v[i, 1] + r * ny
                 ground[2, m + k] = r
@@ -73,16 +68,16 @@ def _gather(model: Model, state: State, work: Work, v: F64, stiff: bool) -> int:
 def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
     """Add the drag at the velocities ``v`` to ``work.force``."""
     keep_separate()
-    par = model.par
+    par = model.par[0]
     wk = work.wk
     ground = work.ground
     force = work.force
     report = work.report
     reporting = report.shape[0] > 0
-    c_s = par[L.G_CS]
-    c_d = par[L.G_CD]
-    eps = par[L.G_EPS]
-    c_v = par[L.G_CV]
+    c_s = par.ground_cs
+    c_d = par.ground_cd
+    eps = par.ground_eps
+    c_v = par.ground_cv
     for m in range(_gather(model, state, work, v, False)):
         speed = math.sqrt(ground[0, m] * ground[0, m] + ground[1, m] * ground[1, m])
         ground[4, m] = drag(speed, c_s, c_d, eps, c_v)
@@ -107,12 +102,12 @@ def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
             py = -g * uy
             fx += px
             fy += py
-            moment += r * (wk[i, L.W_CT] * py - wk[i, L.W_ST] * px)
+            moment += r * (wk[i].ct * py - wk[i].st * px)
             lost -= px * ux + py * uy
             if reporting and not body:
                 k = 0 if r > 0.0 else 2
-                report[i, L.R_TRUCK + k] = px
-                report[i, L.R_TRUCK + k + 1] = py
+                report[i, layout.R_TRUCK + k] = px
+                report[i, layout.R_TRUCK + k + 1] = py
         force[i, 0] += fx
         force[i, 1] += fy
         force[i, 2] += moment
@@ -121,12 +116,12 @@ def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
         else:
             p_truck += lost
         if reporting:
-            report[i, L.R_GROUND_MOMENT] = moment
+            report[i, layout.R_GROUND_MOMENT] = moment
             if body:
-                report[i, L.R_BODY] = fx
-                report[i, L.R_BODY + 1] = fy
-    work.power[L.E_GROUND_TRUCK] = p_truck
-    work.power[L.E_GROUND_BODY] = p_body
+                report[i, layout.R_BODY] = fx
+                report[i, layout.R_BODY + 1] = fy
+    work.power[layout.E_GROUND_TRUCK] = p_truck
+    work.power[layout.E_GROUND_BODY] = p_body
 
 
 @inner_jit
@@ -134,8 +129,8 @@ def largest_drag(model: Model, state: State, i: int) -> float:
     """Bound on what the drag adds to the velocities of car ``i``, m/s^2; yaw by its arc."""
     if state.truck_on[i, 0] and state.truck_on[i, 1]:
         return 0.0
-    lever = model.car[i, L.HALF_L] / model.car[i, L.GYRATION]
-    weight = model.par[L.G_SCALE] * model.par[L.GRAVITY] * model.par[L.G_CS]
+    lever = model.car[i].half_l / model.car[i].gyration
+    weight = model.par[0].ground_scale * model.par[0].gravity * model.par[0].ground_cs
     return weight * (2.0 + lever * lever)
 
 
@@ -147,13 +142,13 @@ def ground_damping(model: Model, state: State, work: Work, v: F64) -> None:
     along it.
     """
     keep_separate()
-    par = model.par
+    par = model.par[0]
     wk = work.wk
     ground = work.ground
-    c_s = par[L.G_CS]
-    c_d = par[L.G_CD]
-    eps = par[L.G_EPS]
-    c_v = par[L.G_CV]
+    c_s = par.ground_cs
+    c_d = par.ground_cd
+    eps = par.ground_eps
+    c_v = par.ground_cv
     for m in range(_gather(model, state, work, v, True)):
         speed = math.sqrt(ground[0, m] * ground[0, m] + ground[1, m] * ground[1, m])
         across, along = drag_slopes(speed, c_s, c_d, eps, c_v)
@@ -163,8 +158,8 @@ def ground_damping(model: Model, state: State, work: Work, v: F64) -> None:
         for m in range(work.ground_first[i], work.ground_first[i + 1]):
             ux = ground[0, m]
             uy = ground[1, m]
-            bx = -ground[2, m] * wk[i, L.W_ST]
-            by = ground[2, m] * wk[i, L.W_CT]
+            bx = -ground[2, m] * wk[i].st
+            by = ground[2, m] * wk[i].ct
             across = ground[4, m] * ground[3, m]
             along = ground[5, m] * ground[3, m]
             v2 = ux * ux + uy * uy
@@ -174,9 +169,9 @@ def ground_damping(model: Model, state: State, work: Work, v: F64) -> None:
             cxx = across + share * ux * ux
             cxy = share * ux * uy
             cyy = across + share * uy * uy
-            wk[i, L.W_C] += cxx
-            wk[i, L.W_C + 1] += cxy
-            wk[i, L.W_C + 2] += cxx * bx + cxy * by
-            wk[i, L.W_C + 3] += cyy
-            wk[i, L.W_C + 4] += cxy * bx + cyy * by
-            wk[i, L.W_C + 5] += cxx * bx * bx + 2.0 * cxy * bx * by + cyy * by * by
+            wk[i].c_xx += cxx
+            wk[i].c_xy += cxy
+            wk[i].c_xt += cxx * bx + cxy * by
+            wk[i].c_yy += cyy
+            wk[i].c_yt += cxy * bx + cyy * by
+            wk[i].c_tt += cxx * bx * bx + 2.0 * cxy * bx * by + cyy * by * by

@@ -8,14 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine import layout
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.jit import inner_jit
-
-F64 = NDArray[np.float64]
 
 
 @inner_jit
@@ -24,25 +19,25 @@ def push_forces(model: Model, state: State, work: Work, v: F64) -> None:
     lateral = model.lateral
     force = work.force
     wk = work.wk
-    t_on = state.clock[L.T_ON]
+    t_on = state.clock[0].t_on
     power = 0.0
     for k in range(lateral.shape[0]):
-        if lateral[k, L.LF_T0] <= t_on < lateral[k, L.LF_T1]:
-            i = int(lateral[k, L.LF_CAR])
-            fx = lateral[k, L.LF_X]
-            fy = lateral[k, L.LF_Y]
-            rx = lateral[k, L.LF_OFFSET] * wk[i, L.W_CT]
-            ry = lateral[k, L.LF_OFFSET] * wk[i, L.W_ST]
+        if lateral[k].start <= t_on < lateral[k].end:
+            i = int(lateral[k].car)
+            fx = lateral[k].fx
+            fy = lateral[k].fy
+            rx = lateral[k].offset * wk[i].ct
+            ry = lateral[k].offset * wk[i].st
             force[i, 0] += fx
             force[i, 1] += fy
             moment = rx * fy - ry * fx
             force[i, 2] += moment
             power += fx * (v[i, 0] - v[i, 2] * ry) + fy * (v[i, 1] + v[i, 2] * rx)
             if work.report.shape[0] > 0:
-                work.report[i, L.R_EXTERNAL] += fx
-                work.report[i, L.R_EXTERNAL + 1] += fy
-                work.report[i, L.R_EXTERNAL + 2] += moment
-    work.power[L.E_EXTERNAL] = power
+                work.report[i, layout.R_EXTERNAL] += fx
+                work.report[i, layout.R_EXTERNAL + 1] += fy
+                work.report[i, layout.R_EXTERNAL + 2] += moment
+    work.power[layout.E_EXTERNAL] = power
 
 
 @inner_jit
@@ -50,7 +45,8 @@ def next_push(model: Model, t: float) -> float:
     """Next time after ``t`` at which a push begins or ends, s; infinity without one."""
     soon = math.inf
     for k in range(model.lateral.shape[0]):
-        for column in (L.LF_T0, L.LF_T1):
-            if t < model.lateral[k, column] < soon:
-                soon = model.lateral[k, column]
+        push = model.lateral[k]
+        for at in (push.start, push.end):
+            if t < at < soon:
+                soon = at
     return soon

@@ -10,25 +10,19 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from derail_ros.engine import layout as L
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import F64, Model, Rows, State, Work
 from derail_ros.engine.interpolation import LOCATED, cubic_root
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.track import locate
-
-F64 = NDArray[np.float64]
 
 OVERLOAD = 1e-3
 """A lateral derailment is located to this, relative to the limit."""
 
 
 @inner_jit
-def truck_arm(car: F64, i: int, k: int) -> float:
+def truck_arm(car: Rows, i: int, k: int) -> float:
     """Place of truck ``k`` (0 front, 1 rear) of car ``i`` along its axis, m."""
-    return car[i, L.DT] if k == 0 else -car[i, L.DT]
+    return car[i].truck if k == 0 else -car[i].truck
 
 
 @inner_jit
@@ -41,47 +35,47 @@ def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
     wk = work.wk
     straight = model.track.shape[0] == 0
     for i in range(q.shape[0]):
-        ct = wk[i, L.W_CT]
-        st = wk[i, L.W_ST]
+        ct = wk[i].ct
+        st = wk[i].st
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
             r = truck_arm(model.car, i, k)
-            row = L.W_TRUCK + 3 * k
+            row = work.row[i, k]
             x = q[i, 0] + r * ct
             y = q[i, 1] + r * st
             if straight:
-                wk[i, row] = 0.0
-                wk[i, row + 1] = 1.0
-                wk[i, row + 2] = r * ct
-                wk[i, L.W_CURVE + k] = 0.0
-                wk[i, L.W_OFF + k] = y
+                row.nx = 0.0
+                row.ny = 1.0
+                row.arm = r * ct
+                row.curve = 0.0
+                row.offset = y
                 state.truck_s[i, k] = x
             else:
                 s, d, h, kappa, _ = locate(model.track, x, y, state.truck_s[i, k])
                 nx = -math.sin(h)
                 ny = math.cos(h)
-                wk[i, row] = nx
-                wk[i, row + 1] = ny
-                wk[i, row + 2] = r * (ct * ny - st * nx)
-                wk[i, L.W_CURVE + k] = kappa / (1.0 - kappa * d)
-                wk[i, L.W_OFF + k] = d
+                row.nx = nx
+                row.ny = ny
+                row.arm = r * (ct * ny - st * nx)
+                row.curve = kappa / (1.0 - kappa * d)
+                row.offset = d
                 state.truck_s[i, k] = s
 
 
 @inner_jit
-def truck_rate(v: F64, wk: F64, i: int, k: int) -> float:
+def truck_rate(v: F64, rows: Rows, i: int, k: int) -> float:
     """``J v`` of truck ``k`` of car ``i``: its speed along the track's left normal, m/s."""
-    row = L.W_TRUCK + 3 * k
-    return wk[i, row] * v[i, 0] + wk[i, row + 1] * v[i, 1] + wk[i, row + 2] * v[i, 2]
+    row = rows[i, k]
+    return row.nx * v[i, 0] + row.ny * v[i, 1] + row.arm * v[i, 2]
 
 
 @inner_jit
-def _along(car: F64, wk: F64, v: F64, i: int, k: int, ct: float, st: float) -> float:
+def _along(car: Rows, rows: Rows, v: F64, i: int, k: int, ct: float, st: float) -> float:
     """Speed of truck ``k`` of car ``i`` along the track, m/s, for the car's cos and sin of yaw."""
-    row = L.W_TRUCK + 3 * k
+    row = rows[i, k]
     turn = truck_arm(car, i, k) * v[i, 2]
-    return wk[i, row + 1] * (v[i, 0] - turn * st) - wk[i, row] * (v[i, 1] + turn * ct)
+    return row.ny * (v[i, 0] - turn * st) - row.nx * (v[i, 1] + turn * ct)
 
 
 @inner_jit
@@ -91,22 +85,22 @@ def truck_gamma(model: Model, state: State, work: Work, v: F64) -> None:
     The centripetal part of the truck's acceleration and the turning of the normal; with
     Baumgarte's terms unless positions are projected.
     """
-    par = model.par
+    par = model.par[0]
     wk = work.wk
-    stabilize = par[L.PROJECT] == 0.0
+    stabilize = par.project == 0.0
     for i in range(v.shape[0]):
-        ct = wk[i, L.W_CT]
-        st = wk[i, L.W_ST]
+        ct = wk[i].ct
+        st = wk[i].st
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
-            row = L.W_TRUCK + 3 * k
+            row = work.row[i, k]
             r2 = truck_arm(model.car, i, k) * v[i, 2] * v[i, 2]
-            along = _along(model.car, wk, v, i, k, ct, st)
-            g = r2 * (wk[i, row] * ct + wk[i, row + 1] * st)
-            g += wk[i, L.W_CURVE + k] * along * along
+            along = _along(model.car, work.row, v, i, k, ct, st)
+            g = r2 * (row.nx * ct + row.ny * st)
+            g += row.curve * along * along
             if stabilize:
-                g -= par[L.B_VEL] * truck_rate(v, wk, i, k) + par[L.B_POS] * wk[i, L.W_OFF + k]
+                g -= par.baumgarte_v * truck_rate(v, work.row, i, k) + par.baumgarte_q * row.offset
             work.gamma_t[i, k] = g
 
 
@@ -116,9 +110,9 @@ def lateral_limit(model: Model, i: int) -> float:
 
     A virtual body never does.
     """
-    if model.car[i, L.VIRTUAL] != 0.0:
+    if model.car[i].virtual != 0.0:
         return math.inf
-    return model.par[L.LV_LIMIT] * 0.5 * model.par[L.GRAVITY] * model.car[i, L.MASS]
+    return model.par[0].lv_limit * 0.5 * model.par[0].gravity * model.car[i].mass
 
 
 @inner_jit
@@ -152,8 +146,8 @@ def on_track(model: Model, state: State) -> bool:
     pieces = model.track.shape[0]
     if pieces == 0:
         return True
-    first = model.track[0, L.TR_S]
-    last = model.track[pieces - 1, L.TR_S] + model.track[pieces - 1, L.TR_LEN]
+    first = model.track[0].s
+    last = model.track[pieces - 1].s + model.track[pieces - 1].length
     for i in range(state.q.shape[0]):
         for k in range(2):
             if state.truck_on[i, k] and not first <= state.truck_s[i, k] <= last:
@@ -190,8 +184,8 @@ def first_passing(model: Model, state: State, work: Work, h: float) -> float:
                 if g0 > 0.0 or g1 <= LOCATED:
                     continue
                 theta = state.q[i, 2]
-                v0 = _along(model.car, wk, state.v, i, k, math.cos(theta), math.sin(theta))
-                v1 = _along(model.car, wk, work.stage_v, i, k, wk[i, L.W_CT], wk[i, L.W_ST])
+                v0 = _along(model.car, work.row, state.v, i, k, math.cos(theta), math.sin(theta))
+                v1 = _along(model.car, work.row, work.stage_v, i, k, wk[i].ct, wk[i].st)
                 share = min(share, cubic_root(g0, sign * h * v0, g1, sign * h * v1))
     return share
 
