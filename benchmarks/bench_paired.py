@@ -2,11 +2,11 @@
 
     python benchmarks/bench_paired.py OTHER [--pairs 10] [--runs 200]
 
-OTHER is a commit or the path of a tree. Each measurement is a process of its own that runs an
-ensemble of derailments around ``mississauga_published`` and gives the processor time of their
-steps; the kernels are compiled before. The trees alternate, and so does which one begins. The
-table ends with the mean of the ratio this / other and its one-sided 95 % upper confidence bound
-(Student's t on the logarithms).
+OTHER is a commit or the path of a tree. A pair is two fresh processes, one a tree, that take the
+steps of the same derailments around ``mississauga_published`` in turn, run by run, so that what
+else the machine does meets both alike; the time is processor time, and the kernels are compiled
+before. The table ends with the mean of the ratio this / other over the pairs and its one-sided
+95 % upper confidence bound (Student's t on the logarithms).
 """
 
 from __future__ import annotations
@@ -21,65 +21,84 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent.parent
 
 
-def ensemble(runs: int) -> float:
-    """Processor time of the steps of ``runs`` derailments at different speeds, s."""
-    from derail_ros.engine import Simulation
+def work() -> None:
+    """Run a derailment for each speed (a factor, one a line) that is asked for; print the time."""
+    try:
+        from derail_ros.engine import PlanarSimulation as Simulation
+    except ImportError:  # a tree from before the engine's run had this name
+        from derail_ros.engine import Simulation
     from derail_ros.scenario import load_scenario_by_name
 
     params = load_scenario_by_name("mississauga_published").to_params()
     Simulation(params).run()
-    spent = 0.0
-    for k in range(runs):
-        speed = params.initiation.speed * (0.9 + 0.2 * k / runs)
+    for line in sys.stdin:
+        speed = params.initiation.speed * float(line)
         run = Simulation(replace(params, initiation=replace(params.initiation, speed=speed)))
         began = time.process_time()
         run.advance_to(math.inf)
-        spent += time.process_time() - began
-    return spent
+        print(time.process_time() - began, flush=True)
 
 
-def measured(tree: Path, runs: int) -> float:
-    """``ensemble`` in a process that imports the package from ``tree``."""
-    out = subprocess.run(
-        [sys.executable, __file__, "--ensemble", "--runs", str(runs)],
-        env={**os.environ, "PYTHONPATH": str(tree)}, cwd=tree,
-        capture_output=True, text=True, check=True,
+def start(tree: Path) -> subprocess.Popen[str]:
+    """A process that works with the package of ``tree``."""
+    return subprocess.Popen(
+        [sys.executable, __file__, "--work"], env={**os.environ, "PYTHONPATH": str(tree)},
+        cwd=tree, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    return float(out.stdout)
+
+
+def ask(process: Any, factor: float) -> float:
+    """Processor time of the steps of one run, s."""
+    process.stdin.write(f"{factor}\n")
+    process.stdin.flush()
+    return float(process.stdout.readline())
+
+
+def pair(other: Path, runs: int) -> tuple[float, float]:
+    """Processor time of this tree and of the other one, s."""
+    spent = [0.0, 0.0]
+    processes = [start(HERE), start(other)]
+    try:
+        for k in range(runs):
+            for side in ((0, 1), (1, 0))[k % 2]:
+                spent[side] += ask(processes[side], 0.9 + 0.2 * k / runs)
+    finally:
+        for process in processes:
+            process.communicate()
+    return spent[0], spent[1]
 
 
 def compare(other: Path, pairs: int, runs: int) -> None:
     """Print the table."""
     from scipy.stats import t
 
-    for tree in (HERE, other):
-        measured(tree, 1)
+    pair(other, 1)  # compiles
+    print("| pair | this, s | other, s | ratio |\n| --- | --- | --- | --- |")
     logs = []
-    print(f"| pair | this, s | other, s | ratio |\n| --- | --- | --- | --- |   ({runs} runs each)")
     for k in range(pairs):
-        spent = {tree: measured(tree, runs) for tree in ((HERE, other), (other, HERE))[k % 2]}
-        logs.append(math.log(spent[HERE] / spent[other]))
-        print(f"| {k + 1} | {spent[HERE]:.2f} | {spent[other]:.2f} | {math.exp(logs[-1]):.3f} |",
-              flush=True)  # fmt: skip
+        mine, others = pair(other, runs)
+        logs.append(math.log(mine / others))
+        print(f"| {k + 1} | {mine:.2f} | {others:.2f} | {mine / others:.3f} |", flush=True)
     mean = statistics.fmean(logs)
     half = t.ppf(0.95, pairs - 1) * statistics.stdev(logs) / math.sqrt(pairs)
-    print(f"\nmean ratio {math.exp(mean):.4f}, upper confidence bound {math.exp(mean + half):.4f}")
+    print(f"\n{runs} runs each: ratio {math.exp(mean):.4f}, below {math.exp(mean + half):.4f}")
 
 
 def main() -> None:
-    """Measure, or be one of the processes that are measured."""
+    """Compare, or be one of the processes that are compared."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("other", nargs="?", default="HEAD")
     parser.add_argument("--pairs", type=int, default=10)
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--ensemble", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.ensemble:
-        print(ensemble(given.runs))
+    if given.work:
+        work()
     elif Path(given.other).is_dir():
         compare(Path(given.other).resolve(), given.pairs, given.runs)
     else:
