@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.engine import layout, packs
+from derail_ros.engine import layout, pointers
 from derail_ros.engine.laws.ground import BODY_POINTS
 
 F64 = NDArray[np.float64]
@@ -113,7 +113,7 @@ class Work(NamedTuple):
 
 
 for kind in (Model, State, Work):
-    packs.register(kind)
+    pointers.register(kind)
 
 SLOPES = 8
 """Room for the stages of a method and the slope at its end."""
