@@ -60,22 +60,14 @@ WAYS: tuple[Way, ...] = (
 
 @dataclass(frozen=True)
 class Scope:
-    """What the page shows; a smaller one is for tests.
+    """What the page shows; a smaller one is for tests."""
 
-    Attributes
-    ----------
-    group : reports whose trains are all run, in all ways
-    most : of its reports in a class of speed
-    every : reports of all causes run, of a class of speed, in the first and the last way
-    ways : in which the trains are run
-    matched : label of the way whose single trains are drawn
-    """
-
-    group: Group = GROUPS["broken_rail_long"]
-    most: int = 1000
+    group: Group = GROUPS["broken_rail_long"]  # reports whose trains are all run, in all ways
+    most: int = 1000  # of its reports in a class of speed
+    # reports of all causes run, of a class of speed, in the first and the last way
     every: int = 200
     ways: tuple[Way, ...] = WAYS
-    matched: str = "`planar`, brakes 10 s late"
+    matched: str = "`planar`, brakes 10 s late"  # label of the way whose single trains are drawn
 
 
 @dataclass(frozen=True)

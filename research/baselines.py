@@ -40,27 +40,16 @@ PLANE = tuple(name for name, model in MODELS.items() if model.plane)
 
 @dataclass(frozen=True)
 class Trial:
-    """One model on one train: an ensemble, or a single run where nothing varies.
+    """One model on one train: an ensemble, or a single run where nothing varies."""
 
-    Attributes
-    ----------
-    case : part of the page it belongs to
-    label : name within the case
-    model : of ``MODELS``
-    scenario, overrides : the train
-    constants : of the model itself
-    members : of an ensemble
-    repeats : of each run, for the least wall time
-    """
-
-    case: str
-    label: str
-    model: str
+    case: str  # part of the page it belongs to
+    label: str  # name within the case
+    model: str  # of ``MODELS``
     scenario: str
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    constants: Mapping[str, float] = field(default_factory=dict)
+    constants: Mapping[str, float] = field(default_factory=dict)  # of the model itself
     members: int = 1
-    repeats: int = 1
+    repeats: int = 1  # of each run, for the least wall time
 
     @property
     def words(self) -> str:
@@ -74,19 +63,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What came of a trial.
-
-    Attributes
-    ----------
-    ensemble : the records
-    notes : further results, one a member that did not fail
-    first : the run of the scenario itself; None if it failed
-    """
+    """What came of a trial."""
 
     trial: Trial
     ensemble: Ensemble
-    notes: tuple[Mapping[str, Any], ...] = ()
-    first: ModelRun | None = None
+    notes: tuple[Mapping[str, Any], ...] = ()  # further results, one a member that did not fail
+    first: ModelRun | None = None  # the run of the scenario itself; None if it failed
 
     @cached_property
     def mean(self) -> Record:
@@ -116,34 +98,23 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class Scope:
-    """What the page shows; a smaller one is for tests.
+    """What the page shows; a smaller one is for tests."""
 
-    Attributes
-    ----------
-    speeds : of the base train, all models, km/h
-    scene_speed : the one whose final scenes are drawn, km/h
-    fast : further speeds of the main model and Yang and Manos's, km/h
-    classes : classes of speed of the reported accidents that are shown, from the fastest down
-    choice_speeds : of Yang and Manos's base case with other choices, km/h
-    trains : scenarios shown with all models
-    limits : forces at which Anderson's springs are removed, N
-    frictions : of Roorda and Gracie
-    tuned_speeds : of the base train with them, km/h
-    models : those shown
-    shared : changes to every train
-    """
-
+    # of the base train, all models, km/h
     speeds: tuple[float, ...] = (30.0, 48.0, 60.0, 72.0, 90.0)
-    scene_speed: float = 90.0
+    scene_speed: float = 90.0  # the one whose final scenes are drawn, km/h
+    # further speeds of the main model and Yang and Manos's, km/h
     fast: tuple[float, ...] = (96.0, 105.0, 112.0, 120.0, 130.0, 145.0)
-    classes: int = 7
+    classes: int = 7  # of speed of the reported accidents that are shown, from the fastest down
+    # of Yang and Manos's base case with other choices, km/h
     choice_speeds: tuple[float, ...] = (65.0, 96.0, 120.0)
-    trains: tuple[str, ...] = ("mississauga", "yang_manos_base")
+    trains: tuple[str, ...] = ("mississauga", "yang_manos_base")  # scenarios shown with all models
+    # forces at which Anderson's springs are removed, N
     limits: tuple[float, ...] = (3e6, 5e6, 10e6, 20e6)
-    frictions: tuple[float, ...] = (1.0, 1.5, 2.0)
-    tuned_speeds: tuple[float, ...] = (60.0, 90.0, 105.0)
+    frictions: tuple[float, ...] = (1.0, 1.5, 2.0)  # of Roorda and Gracie
+    tuned_speeds: tuple[float, ...] = (60.0, 90.0, 105.0)  # of the base train with them, km/h
     models: tuple[str, ...] = tuple(MODELS)
-    shared: Mapping[str, Any] = field(default_factory=dict)
+    shared: Mapping[str, Any] = field(default_factory=dict)  # changes to every train
 
 
 REPEATS = 3

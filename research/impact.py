@@ -37,20 +37,12 @@ STEP = 2e-5
 
 @dataclass(frozen=True)
 class Impact:
-    """An impact by the law.
-
-    Attributes
-    ----------
-    speed_kmh : speed of the striking car, km/h
-    peak_force_N : largest force between the cars, both corners, N
-    duration_s : time during which the force is above a tenth of its peak, s
-    parting_speed_mps : speed at which the cars part, m/s
-    """
+    """An impact by the law."""
 
     speed_kmh: float
-    peak_force_N: float
-    duration_s: float
-    parting_speed_mps: float
+    peak_force_N: float  # between the cars, both corners
+    duration_s: float  # while the force is above a tenth of its peak
+    parting_speed_mps: float  # at which the cars part
 
 
 def impact(

@@ -32,18 +32,11 @@ class Peak:
 
 @dataclass(frozen=True)
 class PublishedDetails:
-    """What is published of the run beside its outcome.
+    """What is published of the run beside its outcome."""
 
-    Attributes
-    ----------
-    peaks : the largest forces, the largest first
-    above : cars struck above 10 MN
-    scenes : time (s) -> what the source says of it
-    """
-
-    peaks: tuple[Peak, ...]
-    above: tuple[int, ...]
-    scenes: Mapping[float, str]
+    peaks: tuple[Peak, ...]  # the largest first
+    above: tuple[int, ...]  # cars struck above 10 MN
+    scenes: Mapping[float, str]  # time (s) -> what the source says of it
 
     @property
     def by_car(self) -> dict[int, float]:
@@ -72,20 +65,13 @@ def load_published_run() -> PublishedDetails:
 
 @dataclass(frozen=True)
 class Details:
-    """An ensemble of the run, car by car, and the scenes of its first member.
+    """An ensemble of the run, car by car, and the scenes of its first member."""
 
-    Attributes
-    ----------
-    force : (members, cars) peak force on each car, N; runs that count
-    scenes : time (s) -> scene and velocities (cars, 2), m/s
-    final : the scene at the end
-    summary : the first member's outcome in a line
-    """
-
-    force: NDArray[np.float64]
+    force: NDArray[np.float64]  # (members, cars) peak force on each car, N; runs that count
+    # time (s) -> scene and velocities (cars, 2), m/s
     scenes: Mapping[float, tuple[Scene, NDArray[np.float64]]]
     final: Scene
-    summary: str
+    summary: str  # the first member's outcome in a line
 
     def share_above(self, force: float = 10e6) -> NDArray[np.float64]:
         """(cars,) share of runs in which a car was struck above ``force``."""

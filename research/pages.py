@@ -27,23 +27,14 @@ END = "<!-- end of results -->"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line gives.
-
-    Attributes
-    ----------
-    page : the page that is written
-    names : what else is named: scenarios, studies, files
-    members : runs each; None: the page's own number
-    seed, jobs : of the ensembles, runs at a time
-    results : folder of results that are there (studies)
-    """
+    """What the command line gives."""
 
     page: Path
-    names: tuple[str, ...] = ()
-    members: int | None = None
+    names: tuple[str, ...] = ()  # what else is named: scenarios, studies, files
+    members: int | None = None  # runs each; None: the page's own number
     seed: int = 0
-    jobs: int | None = None
-    results: Path | None = None
+    jobs: int | None = None  # runs at a time
+    results: Path | None = None  # folder of results that are there (studies)
 
     def images(self) -> Path:
         """The folder ``images`` beside the page, made if it is not there."""

@@ -66,45 +66,25 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class RollParams:
-    """Inputs of the roll estimate, a loaded tank car's [R].
+    """Inputs of the roll estimate, a loaded tank car's [R]."""
 
-    Attributes
-    ----------
-    height : of the mass centre above the rails, m
-    track_width : between the wheels' contacts, m
-    friction : of the ground
-    radius : of the shell, m
-    fittings : height of the top fittings above the shell, m
-    """
-
-    height: float = 2.3
-    track_width: float = 1.5
-    friction: float = 1.0
-    radius: float = 1.5
-    fittings: float = 0.5
+    height: float = 2.3  # of the mass centre above the rails, m
+    track_width: float = 1.5  # between the wheels' contacts, m
+    friction: float = 1.0  # of the ground
+    radius: float = 1.5  # of the shell, m
+    fittings: float = 0.5  # height of the top fittings above the shell, m
 
 
 @dataclass(frozen=True)
 class AndersonParams:
-    """Constants of the model [R].
+    """Constants of the model [R]."""
 
-    Attributes
-    ----------
-    stiffness : k of the coupling springs, N/m
-    damping : c beside them, N s/m
-    force_limit : F_max, N
-    friction : Coulomb friction at derailed trucks (source: 1.0 to 1.5)
-    restitution : e of collisions
-    max_step : s
-    roll : inputs of the roll estimate
-    """
-
-    stiffness: float = 1.0e8
-    damping: float = 1.0e6
-    force_limit: float = 5.0e6
-    friction: float = 1.25
-    restitution: float = 0.25
-    max_step: float = 5e-3
+    stiffness: float = 1.0e8  # k of the coupling springs, N/m
+    damping: float = 1.0e6  # c beside them, N s/m
+    force_limit: float = 5.0e6  # F_max, N
+    friction: float = 1.25  # Coulomb friction at derailed trucks (source: 1.0 to 1.5)
+    restitution: float = 0.25  # e of collisions
+    max_step: float = 5e-3  # s
     roll: RollParams = field(default_factory=RollParams)
 
 

@@ -58,23 +58,13 @@ BRAKE_CONSTANT_SPEED = 22.2
 
 @dataclass(frozen=True)
 class Estimate:
-    """Answer of a model with one coordinate; every field has the broadcast shape of the arguments.
+    """Answer of a model with one coordinate, in the broadcast shape of the arguments."""
 
-    Attributes
-    ----------
-    distance : of the train's front beyond the point of derailment when it stops, or when all of
-        it went over, m
-    cars_derailed : not rounded
-    whole_train : all of it went over before it could stop
-    duration : time until it stops, or until all of it has gone over, s
-    peak_speed : largest speed on the way, m/s: above ``v0`` where a form gains energy
-    """
-
-    distance: F64
-    cars_derailed: F64
-    whole_train: NDArray[np.bool_]
-    duration: F64
-    peak_speed: F64
+    distance: F64  # of the train's front beyond the point where it stops or has gone over whole, m
+    cars_derailed: F64  # not rounded
+    whole_train: NDArray[np.bool_]  # all of it went over before it could stop
+    duration: F64  # until it stops or has gone over whole, s
+    peak_speed: F64  # above v0 where a form gains energy, m/s
 
 
 def brake_friction(speed: ArrayLike) -> F64:

@@ -35,27 +35,15 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JointVelocities:
-    """State just after the impulse.
+    """State just after the impulse."""
 
-    Attributes
-    ----------
-    joint : (N+1,) transverse velocities of the joints, head first, m/s
-    relative : (N+1,) the same over the head's
-    centre : (N,) transverse velocities of the mass centres, m/s
-    yaw_rate : (N,) rad/s, positive when the head end moves towards the blow's direction
-    bend : (N-1,) change of angle at the inner joints, ``yaw_rate[i] - yaw_rate[i+1]``, rad/s
-    impulse : (N-1,) transverse impulse that each inner joint carried from the bar ahead to the
-        bar behind it, N s
-    energy : kinetic energy, J: half of the impulse times the velocity of the head
-    """
-
-    joint: F64
-    relative: F64
-    centre: F64
-    yaw_rate: F64
-    bend: F64
-    impulse: F64
-    energy: float
+    joint: F64  # (N+1,) transverse velocities of the joints, head first, m/s
+    relative: F64  # (N+1,) the same over the head's
+    centre: F64  # (N,) transverse velocities of the mass centres, m/s
+    yaw_rate: F64  # (N,) rad/s, positive when the head end moves in the blow's direction
+    bend: F64  # (N-1,) yaw_rate[i] - yaw_rate[i+1] at the inner joints, rad/s
+    impulse: F64  # (N-1,) transverse impulse from the bar ahead to the bar behind, N s
+    energy: float  # kinetic, J: half of the impulse times the head's velocity
 
 
 def joint_velocities(

@@ -48,35 +48,20 @@ WHOLE_TRAIN = "whole train derailed"
 
 @dataclass(frozen=True)
 class ModelRun:
-    """What a model made of a train.
-
-    Attributes
-    ----------
-    model : its name
-    record : the outcome, keys as of ``outcome_record``
-    scene : the final scene; None for models without a plane
-    notes : further results, by names with units
-    """
+    """What a model made of a train."""
 
     model: str
-    record: Record
-    scene: Scene | None = None
-    notes: dict[str, Any] = field(default_factory=dict)
+    record: Record  # keys as of ``outcome_record``
+    scene: Scene | None = None  # at the end; None for models without a plane
+    notes: dict[str, Any] = field(default_factory=dict)  # further results, by names with units
 
 
 @dataclass(frozen=True)
 class Request:
-    """How a model is run.
+    """How a model is run."""
 
-    Attributes
-    ----------
-    roll : add the roll estimate to the notes (``planar``, ``anderson``)
-    constants : of the model itself
-    watch : called now and then, if there is one
-    """
-
-    roll: bool = False
-    constants: Mapping[str, float] = field(default_factory=dict)
+    roll: bool = False  # add the roll estimate to the notes (``planar``, ``anderson``)
+    constants: Mapping[str, float] = field(default_factory=dict)  # of the model itself
     watch: Watch | None = None
 
     def go(self, simulation: Any) -> None:
@@ -94,26 +79,16 @@ class Request:
 
 @dataclass(frozen=True)
 class Model:
-    """A model.
-
-    Attributes
-    ----------
-    words : what it is
-    run : runs it on a train: record, scene, notes
-    plane : it gives a final scene
-    varied : its outcome depends on the lateral force that starts the motion: it has ensembles
-    kernels : it is compiled at its first use
-    rolls : it parts couplings, so that the roll of free cars can be estimated
-    constants : of its own that a caller may choose
-    """
+    """A model."""
 
     words: str
+    # gives record, scene and notes of a train
     run: Callable[[TrainParams, Request], tuple[Record, Scene | None, dict[str, Any]]]
-    plane: bool = False
-    varied: bool = False
-    kernels: bool = False
-    rolls: bool = False
-    constants: tuple[str, ...] = ()
+    plane: bool = False  # it gives a final scene
+    varied: bool = False  # depends on the lateral force that starts the motion: it has ensembles
+    kernels: bool = False  # it is compiled at its first use
+    rolls: bool = False  # it parts couplings, so that the roll of free cars can be estimated
+    constants: tuple[str, ...] = ()  # of its own that a caller may choose
 
 
 def record_of(outcome: Outcome, unknown: Iterable[str] = (), **known: Any) -> Record:

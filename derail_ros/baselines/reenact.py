@@ -207,22 +207,13 @@ def rank_correlation(reports: Sequence[Report], values: Sequence[float]) -> floa
 
 @dataclass(frozen=True)
 class Agreement:
-    """How counts of single trains agree with the reported ones; nan where nothing can be said.
+    """How counts of single trains agree with the reported ones; nan where nothing can be said."""
 
-    Attributes
-    ----------
-    trains : number of those that have a count
-    ratio : of the means, counted over reported
-    rms : root mean square of the differences, cars
-    rank : Spearman's correlation
-    within : share of trains within a factor of two
-    """
-
-    trains: int
-    ratio: float
-    rms: float
-    rank: float
-    within: float
+    trains: int  # that have a count
+    ratio: float  # of the means, counted over reported
+    rms: float  # root mean square of the differences, cars
+    rank: float  # Spearman's correlation
+    within: float  # share of trains within a factor of two
 
 
 def agreement(reports: Sequence[Report], values: Sequence[float | None]) -> Agreement:

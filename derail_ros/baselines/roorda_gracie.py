@@ -50,28 +50,17 @@ START_ANGLE = 0.1
 
 @dataclass(frozen=True)
 class IncrementalRun:
-    """What came of a run; K cars derailed, S increments.
+    """What came of a run; K cars derailed, S increments."""
 
-    Attributes
-    ----------
-    derailed : K
-    whole_train : all cars derailed before the energy was spent
-    duration : estimated time to rest, s
-    advance : of the cars on the rails from the first derailment on, m
-    time, energy : (S+1,) estimated time (s) and energy left (J) after each increment
-    ground_work, brake_work : taken out by friction and by brakes, J
-    pose : (N, 3) x, y (m), yaw (rad) of all cars at the end, along a straight track
-    """
-
-    derailed: int
-    whole_train: bool
-    duration: float
-    advance: float
-    time: F64
-    energy: F64
-    ground_work: float
-    brake_work: float
-    pose: F64
+    derailed: int  # K
+    whole_train: bool  # all cars derailed before the energy was spent
+    duration: float  # estimated time to rest, s
+    advance: float  # of the cars on the rails from the first derailment on, m
+    time: F64  # (S+1,) estimated, after each increment, s
+    energy: F64  # (S+1,) left after each increment, J
+    ground_work: float  # taken out by friction, J
+    brake_work: float  # J
+    pose: F64  # (N, 3) x, y (m), yaw (rad) of all cars at the end, along a straight track
 
 
 def least_work(jacobian: F64, push: F64, load: F64, guess: F64) -> F64:

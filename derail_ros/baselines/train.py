@@ -27,26 +27,15 @@ class ModelError(ValueError):
 
 @dataclass(frozen=True)
 class Train:
-    """The part of a train that runs over the point of derailment.
+    """The part of a train that runs over the point of derailment."""
 
-    Attributes
-    ----------
-    cars : from the first car to derail on; none stands for several
-    first : cars ahead of it
-    speed : m/s
-    start : track coordinate of the first car's mass centre, m
-    point : track coordinate of the point of derailment, m
-    run_up : from the first car's front truck to the point, m; 0 if it is derailed from the start
-    derailed : cars derailed from the start, counted from the first one without a gap
-    """
-
-    cars: tuple[Car, ...]
-    first: int
-    speed: float
-    start: float
-    point: float
-    run_up: float
-    derailed: int
+    cars: tuple[Car, ...]  # from the first car to derail on; none stands for several
+    first: int  # cars ahead of it
+    speed: float  # m/s
+    start: float  # track coordinate of the first car's mass centre, m
+    point: float  # track coordinate of the point of derailment, m
+    run_up: float  # from the first car's front truck to the point, m; 0 if derailed from the start
+    derailed: int  # derailed from the start, counted from the first one without a gap
 
     @property
     def n(self) -> int:
@@ -153,25 +142,16 @@ def derailing_train(params: TrainParams) -> Train:
 
 @dataclass(frozen=True)
 class Brakes:
-    """Emergency brakes of the cars of a :class:`Train`: arrival times and forces.
+    """Emergency brakes of the cars of a :class:`Train`: arrival times and forces."""
 
-    Attributes
-    ----------
-    force : (N,) full force at rest, shoe's and car's factors in it, N
-    iron : (N,) cast iron shoes
-    traction : (N,) force of the traction limited mode, N
-    conventional, instant, traction_limited, instant_traction : (N,) arrival times, s
-    rise_time : s
-    """
-
-    force: F64
-    iron: NDArray[np.bool_]
-    traction: F64
-    conventional: F64
+    force: F64  # (N,) full force at rest, shoe's and car's factors in it, N
+    iron: NDArray[np.bool_]  # (N,) cast iron shoes
+    traction: F64  # (N,) force of the traction limited mode, N
+    conventional: F64  # (N,) arrival time, s; likewise the next three
     instant: F64
     traction_limited: F64
     instant_traction: F64
-    rise_time: float
+    rise_time: float  # s
 
     def at(self, t: float, v: float) -> F64:
         """(N,) forces at the time ``t`` (s) and the speed ``v`` (m/s), N."""

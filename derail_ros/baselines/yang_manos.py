@@ -56,16 +56,10 @@ NEVER = 1.0e9
 
 @dataclass(frozen=True)
 class YangManosParams:
-    """Constants of the model.
+    """Constants of the model."""
 
-    Attributes
-    ----------
-    friction : mu at the trucks of derailed cars
-    widening : of the dead band, rad
-    """
-
-    friction: float = FRICTION
-    widening: float = WIDENING
+    friction: float = FRICTION  # mu at the trucks of derailed cars
+    widening: float = WIDENING  # of the dead band, rad
 
 
 def _straight(coupler: CouplerType) -> CouplerType:

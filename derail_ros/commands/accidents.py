@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.commands.models import known_model
+from derail_ros.commands.options import Jobs, Json, Texts, changes, of_model
 from derail_ros.vocabulary.words import count, finite
 
 if TYPE_CHECKING:
@@ -18,25 +22,97 @@ if TYPE_CHECKING:
     from derail_ros.studies.tables import Table
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """Which reports, as the options say."""
+def run(
+    reports: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Accident reports (CSV, FRA form 54); default: shipped averages."),
+    ] = None,
+    broken_rail: Annotated[
+        bool, typer.Option("--broken-rail", help="Only reports whose cause is a broken rail.")
+    ] = False,
+    causes: Annotated[
+        Texts, typer.Option("--cause", help="Only this cause code, e.g. T207.")
+    ] = None,
+    behind: Annotated[
+        int, typer.Option(min=1, help="Only trains with this many cars behind the first derailed.")
+    ] = 1,
+    loaded: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Only trains with this share of loaded cars.")
+    ] = 0.0,
+    models: Annotated[
+        Texts, of_model("Run this model on the trains (without files: on their mean trains).")
+    ] = None,
+    settings: Annotated[Texts, changes("the base train, e.g. brakes.delay_s=10")] = None,
+    report: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER", help="Print the train of this report as a scenario."),
+    ] = None,
+    most: Annotated[
+        int, typer.Option(min=1, help="Most trains to run in a class of speed.")
+    ] = 100,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the choice of trains.")] = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> int:
+    """Show the cars derailed in reported accidents; run models on the same trains."""
+    from derail_ros.studies.accidents import (
+        BROKEN_RAIL,
+        CLASSES_TEXT,
+        Group,
+        by_speed,
+        load_statistics,
+    )
 
-    broken_rail: bool = False
-    causes: tuple[str, ...] = ()
-    behind: int = 1
-    loaded: float = 0.0
+    if broken_rail and causes:
+        raise CommandFailure("--broken-rail and --cause: give one of them")
+    if "" in (causes or []):
+        raise CommandFailure("--cause: is empty")
+    chosen = BROKEN_RAIL if broken_rail else tuple(c.upper() for c in causes or [])
+    group = Group(chosen, behind, loaded)
+    paths, settings = reports or [], settings or []
+    if report is not None:
+        if group != Group() or models or as_json:
+            raise CommandFailure("--report: takes no other option than --set")
+        return _print_scenario(paths, report, settings)
+    if settings and not models:
+        raise CommandFailure("--set: changes the trains that --model runs; name a model")
+    names = [known_model(name) for name in models or []]
+    if not paths:
+        statistics = load_statistics()
+        if names:
+            return _run_mean_trains(statistics, group, names, settings, jobs, as_json)
+        if group != Group():
+            raise CommandFailure(
+                "options that choose reports need files of reports (docs/accidents.md says where "
+                "to get them)"
+            )
+        return _shipped(statistics, as_json)
+    found = [r for r in read(paths) if r in group]
+    files = ", ".join(map(str, paths))
+    if not found:
+        raise CommandFailure(f"{files}: no freight train derailed on main track: {group.words}")
+    classes = by_speed(found)
+    if not classes:
+        raise CommandFailure(f"{files}: no report of a speed of {CLASSES_TEXT}: {group.words}")
+    if names:
+        from derail_ros.baselines.reenact import sample
 
-    def group(self) -> Group:
-        """As a group of reports."""
-        from derail_ros.studies.accidents import BROKEN_RAIL, Group
-
-        if self.broken_rail and self.causes:
-            raise CommandFailure("--broken-rail and --cause: give one of them")
-        if "" in self.causes:
-            raise CommandFailure("--cause: is empty")
-        causes = BROKEN_RAIL if self.broken_rail else tuple(c.upper() for c in self.causes)
-        return Group(causes, self.behind, self.loaded)
+        trains = sample(found, most, seed)
+        if not trains:
+            raise CommandFailure(
+                f"{files}: no report has a weight that can be right: {group.words}"
+            )
+        return _run_models(trains, group, names, settings, jobs, as_json)
+    outside = len(found) - sum(c.reports for c in classes)
+    if as_json:
+        common.print_json(
+            "accidents",
+            {"group": group.words, "reports": len(found), "outside": outside,
+             "classes": [asdict(c) for c in classes]}
+        )  # fmt: skip
+    else:
+        common.print_tables(_class_table(group, classes, outside))
+    return OK
 
 
 def read(paths: Sequence[Path]) -> list[Report]:
@@ -49,68 +125,10 @@ def read(paths: Sequence[Path]) -> list[Report]:
         raise CommandFailure(str(error)) from None
 
 
-def run(
-    paths: Sequence[Path],
-    chosen: Chosen,
-    models: Sequence[str],
-    settings: Sequence[str],
-    most: int,
-    seed: int,
-    jobs: int | None,
-    as_json: bool,
-) -> int:
-    """Print averages of reports, and of the models if asked; the exit code."""
-    from derail_ros.commands.models import known_model
-    from derail_ros.studies.accidents import CLASSES_TEXT, by_speed, load_statistics
-
-    group = chosen.group()
-    if settings and not models:
-        raise CommandFailure("--set: changes the trains that --model runs; name a model")
-    models = [known_model(name) for name in models]
-    if not paths:
-        statistics = load_statistics()
-        if models:
-            return _run_mean_trains(statistics, group, models, settings, jobs, as_json)
-        if chosen != Chosen():
-            raise CommandFailure(
-                "choosing reports needs the reports: name their files (docs/accidents.md says "
-                "where to get them)"
-            )
-        return _shipped(statistics, as_json)
-    reports = [r for r in read(paths) if r in group]
-    names = ", ".join(map(str, paths))
-    if not reports:
-        raise CommandFailure(f"{names}: no freight train derailed on main track: {group.words}")
-    classes = by_speed(reports)
-    if not classes:
-        raise CommandFailure(f"{names}: no report of a speed of {CLASSES_TEXT}: {group.words}")
-    if models:
-        from derail_ros.baselines.reenact import sample
-
-        trains = sample(reports, most, seed)
-        if not trains:
-            raise CommandFailure(
-                f"{names}: no report has a weight that can be right: {group.words}"
-            )
-        return _run_models(trains, group, models, settings, jobs, as_json)
-    outside = len(reports) - sum(c.reports for c in classes)
-    if as_json:
-        common.print_json(
-            "accidents",
-            {"group": group.words, "reports": len(reports), "outside": outside,
-             "classes": [asdict(c) for c in classes]}
-        )  # fmt: skip
-    else:
-        common.print_tables(_class_table(group, classes, outside))
-    return OK
-
-
-def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str], more: bool) -> int:
-    """Print the train of a report as a scenario; the exit code."""
+def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str]) -> int:
+    """Print the train of a report as a scenario."""
     from derail_ros.baselines.reenact import told_scenario
 
-    if more:
-        raise CommandFailure("--report: prints a scenario, with no other choice than --set")
     if not paths:
         raise CommandFailure("--report: name the files of the reports")
     found = [r for r in read(paths) if r.number.casefold() == number.strip().casefold()]
@@ -132,9 +150,8 @@ def print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str], 
 def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
     """Each model with these settings; a mistake in them is reported before the first run."""
     from derail_ros.baselines.reenact import GIVEN, Way
-    from derail_ros.scenario import parse_set
 
-    overrides = dict(parse_set(text) for text in settings)
+    overrides = common.overrides(settings)
     for path in overrides:
         if any(given == path or given.startswith(f"{path}.") for given in GIVEN):
             raise CommandFailure(f"--set: {path} is given by each report")

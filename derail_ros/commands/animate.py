@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import OK, CommandFailure
+from derail_ros.commands.options import Bag, Namespace, WhichRun, written
 from derail_ros.commands.review import bag_errors, read
 
 
@@ -21,22 +25,28 @@ def check_times(start: float | None, end: float | None, first: float, last: floa
 
 
 def run(
-    bag: str,
-    output: Path,
-    chosen: str | None,
-    namespace: str | None,
-    fps: int | None,
-    rate: float | None,
-    width: int | None,
-    start: float | None,
-    end: float | None,
+    bag: Bag,
+    output: Annotated[Path, written("Film to write; its name ends in .mp4 or .gif.", "FILE")],
+    run: WhichRun = None,
+    namespace: Namespace = None,
+    fps: Annotated[
+        int | None, typer.Option(min=1, max=60, help="Pictures per second [20; GIF: 8].")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Recorded time per time of the film [1; GIF: 2].")
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=320, max=3840, help="Width, pixels [960; GIF: 640].")
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="Begin at this time, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="End at this time, s.")] = None,
 ) -> int:
-    """Make the film; the exit code."""
+    """Make a film of a recording, seen from above."""
     from derail_ros.review.film import FilmError, film, kind_of
 
     try:
         kind_of(output)
-        found = read(bag, chosen, namespace)
+        found = read(bag, run, namespace)
         check_times(start, end, float(found.time[0]), float(found.time[-1]))
         with bag_errors(), common.progress(*common.counting_columns()) as bars:
             output.parent.mkdir(parents=True, exist_ok=True)

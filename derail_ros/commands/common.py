@@ -67,7 +67,14 @@ def _json(value: Mapping[str, Any]) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False, indent=2)
 
 
-def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
+def overrides(settings: Sequence[str] | None) -> dict[str, Any]:
+    """``path=value`` settings: path -> value."""
+    from derail_ros.scenario import parse_set
+
+    return dict(parse_set(text) for text in settings or ())
+
+
+def load(name_or_file: str, settings: Sequence[str] | None = None) -> Scenario:
     """Load a scenario and apply ``path=value`` settings.
 
     Raises
@@ -75,11 +82,10 @@ def load(name_or_file: str, settings: Sequence[str] = ()) -> Scenario:
     ScenarioError
         Naming file, line and field.
     """
-    from derail_ros.scenario import load_scenario, parse_set
+    from derail_ros.scenario import load_scenario
 
     scenario = load_scenario(name_or_file)
-    overrides = dict(parse_set(text) for text in settings)
-    return scenario.with_overrides(overrides) if overrides else scenario
+    return scenario.with_overrides(overrides(settings)) if settings else scenario
 
 
 def warm_up(model: str = PLANAR) -> None:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from derail_ros.commands import common
 from derail_ros.commands.common import OK
+from derail_ros.commands.options import Bag, Json, written
 from derail_ros.commands.review import bag_errors, read
 
 
-def run(first: str, second: str, output: Path | None, as_json: bool) -> int:
-    """Compare two recordings; the exit code."""
+def run(
+    first: Bag,
+    second: Bag,
+    output: Annotated[Path | None, written("Write text, JSON and both scenes there.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare two recordings: measures, scenes and events."""
     from derail_ros.review import comparison
 
     a, b = read(first), read(second)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Annotated
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure
+from derail_ros.commands.options import Jobs, Json, ScenarioNames, Seed, runs
 
 
 def run(
-    names: Sequence[str],
-    members: int,
-    seed: int,
-    jobs: int | None,
-    tolerances: Sequence[float],
-    as_json: bool,
+    names: ScenarioNames = None,
+    members: Annotated[int, runs("Runs per tolerance.", 3)] = 40,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    tolerances: Annotated[
+        list[float] | None, typer.Option("--rtol", help="A tolerance; default: 1e-2 to 1e-7.")
+    ] = None,
+    as_json: Json = False,
 ) -> int:
-    """Run and report."""
+    """Compare ensembles at several tolerances with the tightest."""
     common.need_extra("derail convergence", "scipy")
     from derail_ros.studies import convergence as c
 

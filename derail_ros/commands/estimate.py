@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import OK, CommandFailure
+from derail_ros.commands.options import Json
 from derail_ros.vocabulary.words import finite
 
 
@@ -51,16 +54,25 @@ def parse_cars(text: str) -> list[int]:
 
 
 def run(
-    name: str,
-    form: str | None,
-    speed_kmh: float | None,
-    mu1: float | None,
-    mu2: float | None,
-    cars: str,
-    car_length: float,
-    as_json: bool,
+    name: Annotated[str, typer.Argument(help="bar-1, bar-2 or bar-3.")],
+    form: Annotated[
+        str | None, typer.Option(help="published or corrected (bar-2 and bar-3).")
+    ] = None,
+    speed_kmh: Annotated[float | None, typer.Option(help="Speed of the train, km/h.")] = None,
+    mu1: Annotated[
+        float | None, typer.Option(help="Friction on the rails; bar-3: of the braked train.")
+    ] = None,
+    mu2: Annotated[float | None, typer.Option(help="Friction on the ground.")] = None,
+    cars: Annotated[
+        str, typer.Option(help="Numbers of cars: 60, or 20,40,60, or first:last:step.")
+    ] = "10:100:10",
+    car_length: Annotated[float, typer.Option(help="Length of a car, m.")] = 15.0,
+    as_json: Json = False,
 ) -> int:
-    """Estimate the number of cars derailed by a bar model."""
+    """Estimate the cars derailed: the train is a bar that slides onto the ground.
+
+    The defaults are the parameters of the published figures.
+    """
     from derail_ros.baselines import bar
     from derail_ros.studies.tables import Table
 

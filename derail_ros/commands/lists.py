@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from derail_ros.commands import common
 from derail_ros.commands.common import OK
+from derail_ros.commands.options import Json
 from derail_ros.studies.tables import Table
 
 
-def scenarios(as_json: bool) -> int:
+def scenarios(as_json: Json = False) -> int:
     """List the scenarios."""
     from derail_ros.scenario import list_scenarios
 
@@ -21,8 +22,8 @@ def scenarios(as_json: bool) -> int:
     return OK
 
 
-def models(as_json: bool) -> int:
-    """List the engines with their features, and the earlier models."""
+def models(as_json: Json = False) -> int:
+    """List the models: the engines, and the earlier models."""
     from derail_ros import models as engines
     from derail_ros.baselines.models import MODELS
 

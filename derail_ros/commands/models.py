@@ -6,14 +6,18 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from derail_ros.commands import common, results
+import typer
+
+from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.commands.options import Json, ScenarioName, Settings, Texts, of_model, written
 from derail_ros.vocabulary.words import count, finite
 
 if TYPE_CHECKING:
     from derail_ros.baselines.models import ModelRun
+    from derail_ros.scenario import Scenario
     from derail_ros.vocabulary.measures import Record
 
 
@@ -29,7 +33,7 @@ def known_model(name: str) -> str:
 
 def run(
     model: str,
-    name_or_file: str,
+    scenario: Scenario,
     settings: Sequence[str],
     ensemble: int | None,
     seed: int,
@@ -37,20 +41,19 @@ def run(
     roll: bool,
     as_json: bool,
     output: Path | None,
-    verbose: bool = False,
+    verbose: bool,
 ) -> int:
     """Run a scenario with one of the models; the exit code."""
     from derail_ros.baselines.models import MODELS, ModelError, run_job, run_model
-    from derail_ros.studies.ensemble import Job, gather
+    from derail_ros.commands import results
     from derail_ros.vocabulary.errors import ParameterError, SimulationError
     from derail_ros.vocabulary.measures import failed_record
 
     model = known_model(model)
     if roll and not MODELS[model].rolls:
         raise CommandFailure(f"--roll: {model} parts no coupling; no car of it comes free")
-    scenario = common.load(name_or_file, settings)
     params = scenario.to_params()
-    members = 1 if ensemble is None else ensemble
+    members = ensemble or 1
     if members > 1 and not MODELS[model].varied:
         raise CommandFailure(f"--ensemble: {model} has no lateral force to vary")
     if output is not None:
@@ -74,16 +77,11 @@ def run(
         except SimulationError as error:
             text = " ".join(str(error).split())
             records.append(failed_record(text, time.perf_counter() - began))
-        others = [Job(params, member=m, seed=seed) for m in range(1, members)]
-        found = gather(
-            others,
-            jobs=jobs,
-            task=lambda job, stop: run_job(model, job, stop),
-            progress=lambda done, _: bars.update(task, state=f"{1 + done} of {members} runs"),
-        )
-    for result in found.get(None, ()):
-        failed = None if result.error is None else failed_record(result.error, result.wall_s)
-        records.append(failed or result.value.record)
+        bars.update(task, completed=1, total=members, state="")
+        records += results.members(
+            params, 1, members, seed, jobs, lambda job, stop: run_job(model, job, stop).record,
+            lambda: bars.update(task, advance=1),
+        )  # fmt: skip
     notes = {} if first is None else first.notes
     report = results.report_of(scenario, model, None if ensemble is None else seed, records, notes)
     if output is not None:
@@ -125,19 +123,21 @@ def parse_speeds(text: str) -> list[float]:
 
 
 def compare_models(
-    name_or_file: str,
-    settings: Sequence[str],
-    models: Sequence[str],
-    speeds: str | None,
-    as_json: bool,
-    output: Path | None,
+    scenario: ScenarioName,
+    settings: Settings = None,
+    models: Annotated[Texts, of_model("Run only this model (repeat for more).")] = None,
+    speeds: Annotated[
+        str | None, typer.Option(help="Run at these speeds, km/h, e.g. 30,48,60,72,90.")
+    ] = None,
+    as_json: Json = False,
+    output: Annotated[Path | None, written("Write the table and a figure there.")] = None,
 ) -> int:
-    """All models on one scenario, as a table and a figure; at several speeds if asked."""
+    """Run this model and the earlier ones on one train."""
     from derail_ros.baselines import comparison
     from derail_ros.baselines.models import MODELS
 
-    chosen = [known_model(name) for name in models] or list(MODELS)
-    scenario = common.load(name_or_file, settings)
+    chosen = [known_model(name) for name in models or []] or list(MODELS)
+    base = common.load(scenario, settings)
     series = None if speeds is None else parse_speeds(speeds)
     if output is not None:
         output = common.output_directory(output)
@@ -148,16 +148,16 @@ def compare_models(
 
         warm_up()
     trains = [
-        scenario if v is None else scenario.with_overrides({"train.speed_kmh": v})
+        base if v is None else base.with_overrides({"train.speed_kmh": v})
         for v in (series or [None])
     ]
     runs: list[Any] = []
     with common.progress(*common.counting_columns()) as bars:
-        task = bars.add_task(scenario.name, total=len(trains) * len(chosen))
+        task = bars.add_task(base.name, total=len(trains) * len(chosen))
 
         def show(name: str, done: int) -> None:
             done += len(runs) * len(chosen)
-            bars.update(task, description=f"{scenario.name}, {name}", completed=done)
+            bars.update(task, description=f"{base.name}, {name}", completed=done)
 
         for train in trains:
             runs.append(comparison.compare(train.to_params(), chosen, progress=show))
@@ -165,10 +165,10 @@ def compare_models(
     report: dict[str, Any] = {
         "schema": "derail_ros/model_comparison",
         "schema_version": 1,
-        "scenario": scenario.name,
-        "title": scenario.title,
-        "hash": scenario.hash,
-        "settings": list(settings),
+        "scenario": base.name,
+        "title": base.title,
+        "hash": base.hash,
+        "settings": settings or [],
     }
     if series is None:
         report["models"] = answers[0]
@@ -183,9 +183,9 @@ def compare_models(
         common.write_json(output / "comparison.json", report)
         (output / "comparison.md").write_text(table.markdown() + "\n", encoding="utf-8")
         if series is None:
-            page = figures.figure(scenario.title, runs[0])
+            page = figures.figure(base.title, runs[0])
         else:
-            title = f"{scenario.name}: cars derailed over the speed"
+            title = f"{base.name}: cars derailed over the speed"
             page = figures.by_speed_figure(title, series, runs)
         save(page, output / "comparison.png", dpi=80)
     if as_json:
@@ -194,7 +194,7 @@ def compare_models(
         from rich.markup import escape
 
         console = common.out()
-        console.print(f"[bold]{escape(scenario.name)}[/bold]  {escape(scenario.title)}")
+        console.print(f"[bold]{escape(base.name)}[/bold]  {escape(base.title)}")
         remarks = []
         if series is None:  # a remark may be long: below the table
             remarks = [f"{row[0]}: {row[-1]}" for row in table.rows if row[-1]]
@@ -213,15 +213,19 @@ MOST_BARS = 12
 
 
 def joint_velocities(
-    scenario: str | None,
-    settings: Sequence[str],
-    cars: int,
-    train_mass: float,
-    length: float,
-    impulse: float,
-    as_json: bool,
+    scenario: Annotated[
+        str | None, typer.Argument(help="Scenario whose train is struck; default: equal bars.")
+    ] = None,
+    settings: Settings = None,
+    cars: Annotated[int, typer.Option(help="Number of equal bars.")] = 6,
+    train_mass: Annotated[
+        float, typer.Option(help="Mass of all equal bars, kg; default: Johnson's train.")
+    ] = 450e3,
+    length: Annotated[float, typer.Option(help="Length of an equal bar, m.")] = 15.0,
+    impulse: Annotated[float, typer.Option(help="Transverse impulse on the head, N s.")] = 1000.0,
+    as_json: Json = False,
 ) -> int:
-    """Joint velocities of a train at rest after a blow across its head."""
+    """Compute the joint velocities of a standing train after a blow on its head."""
     import numpy as np
 
     from derail_ros.baselines.joints import joint_velocities as solve

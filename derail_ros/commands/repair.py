@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from derail_ros.commands.common import OK
+from derail_ros.commands.options import Bag, written
 from derail_ros.commands.review import bag_errors, warn
 from derail_ros.vocabulary.words import count
 
 
-def run(bag: str, output: Path | None) -> int:
-    """Repair a recording; the exit code."""
+def run(
+    bag: Bag,
+    output: Annotated[
+        Path | None, written("New folder for the repaired recording; default: BAG_repaired.")
+    ] = None,
+) -> int:
+    """Write a whole recording from one whose recorder was killed."""
     from derail_ros.recording.repair import repair
 
     with bag_errors():

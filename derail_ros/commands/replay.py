@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.commands.options import Json
 from derail_ros.commands.review import bag_errors
 from derail_ros.vocabulary.words import count
 
@@ -15,13 +18,21 @@ if TYPE_CHECKING:
     from derail_ros.recording.run_messages import RunMessages
 
 
-def run(place: str, as_json: bool) -> int:
-    """Replay and compare; the exit code."""
+def run(
+    bag: Annotated[
+        str, typer.Argument(help="A recording: its folder, a file of it, or its manifest.json.")
+    ],
+    as_json: Json = False,
+) -> int:
+    """Compute recorded runs again, with their commands, and compare them to the bit.
+
+    The exit code is 3 if anything differs.
+    """
     from derail_ros.recording.recomputation import engine_differs, recompute
     from derail_ros.scenario import ScenarioError
     from derail_ros.vocabulary.errors import ParameterError
 
-    manifest, recorded = _found(Path(place))
+    manifest, recorded = _found(Path(bag))
     other = engine_differs(manifest)
     if other:
         note("derail: another version of the engine computed this: the bits may differ")
@@ -29,7 +40,7 @@ def run(place: str, as_json: bool) -> int:
     try:
         results = recompute(manifest, recorded)
     except (ScenarioError, ParameterError, KeyError, TypeError, IndexError) as error:
-        raise CommandFailure(f"{place}: {error}") from None
+        raise CommandFailure(f"{bag}: {error}") from None
     same = not any(result.differences for result in results)
     if as_json:
         common.print_json(

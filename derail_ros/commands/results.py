@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, note
-from derail_ros.studies.records import Ensemble
+from derail_ros.studies.ensemble import Task, ensemble_jobs, run_many
+from derail_ros.studies.records import Ensemble, record_of
 from derail_ros.studies.tables import Table
 from derail_ros.vocabulary.ledger import SMALL_SHARE, percentages, shares
 from derail_ros.vocabulary.measures import (
@@ -27,12 +30,32 @@ from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.scenario import Scenario
+    from derail_ros.vocabulary.params import TrainParams
 
 REMARKS = {
     VOID: ": the body that stands for the cars behind reached a break; model more cars",
     TIME_LIMIT: ": the run ended at its time limit, not at rest (integration.time_limit_s)",
 }
 """Status of a run -> what to know of it."""
+
+
+def members(
+    params: TrainParams,
+    done: int,
+    total: int,
+    seed: int,
+    jobs: int | None,
+    task: Task,
+    tell: Callable[[], object],
+) -> list[Record]:
+    """Records of the members of an ensemble from number ``done`` on; ``tell()`` after each."""
+    runs = islice(ensemble_jobs(params, total, seed=seed), done, None)
+    found = {}  # records and not outcomes: there may be thousands
+    with closing(run_many(runs, jobs=jobs, task=task)) as results:
+        for result in results:
+            found[result.job.member] = record_of(result)
+            tell()
+    return [found[member] for member in sorted(found)]
 
 
 def report_of(

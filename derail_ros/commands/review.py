@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import OK, CommandFailure, note
+from derail_ros.commands.options import Bag, Json, Namespace, NewDir, WhichRun
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun
@@ -51,18 +54,18 @@ def warn(warnings: Iterable[str], path: Path) -> None:
 
 
 def run(
-    bag: str,
-    output: Path,
-    chosen: str | None,
-    namespace: str | None,
-    figures: bool,
-    replay: bool,
-    as_json: bool,
+    bag: Bag,
+    output: NewDir,
+    run: WhichRun = None,
+    namespace: Namespace = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    replay: Annotated[bool, typer.Option(help="Write the replay page.")] = True,
+    as_json: Json = False,
 ) -> int:
-    """Review a recording; the exit code."""
+    """Summarize a recording: text, JSON, figures and a replay page."""
     from derail_ros.review import summary
 
-    found = read(bag, chosen, namespace)
+    found = read(bag, run, namespace)
     output = common.output_directory(output)
     facts = summary.findings(found)
     with bag_errors():

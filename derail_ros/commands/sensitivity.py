@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Annotated
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import CommandFailure
+from derail_ros.commands.options import Jobs, Json, Seed, Texts, runs
 
 
 def run(
-    members: int,
-    seed: int,
-    jobs: int | None,
-    cases: Sequence[str],
-    constants: Sequence[str],
-    as_json: bool,
+    members: Annotated[int, runs("Runs per case and change.")] = 20,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    cases: Annotated[
+        Texts, typer.Option("--case", help="A published case, or all; default: five of them.")
+    ] = None,
+    constants: Annotated[Texts, typer.Option("--only", help="Vary only this constant.")] = None,
+    as_json: Json = False,
 ) -> int:
-    """Vary and report; the exit code tells whether runs failed."""
+    """Vary each reconstructed constant and form about its default."""
     from derail_ros.studies import sensitivity as s
     from derail_ros.studies.published import load_published
 
     try:
-        s.choose_cases(load_published(), cases)
-        s.choose_constants(constants)
+        s.choose_cases(load_published(), cases or [])
+        s.choose_constants(constants or [])
     except ValueError as error:
         raise CommandFailure(str(error)) from None
     with common.counting_runs("sensitivity") as progress:
         study = s.sensitivity(
-            members, seed, jobs=jobs, cases=cases, constants=constants, progress=progress
+            members,
+            seed,
+            cases=cases or [],
+            constants=constants or [],
+            jobs=jobs,
+            progress=progress,
         )
     if as_json:
         common.print_json("sensitivity", study.as_dict())

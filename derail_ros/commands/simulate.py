@@ -3,69 +3,97 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from contextlib import closing
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from derail_ros.commands import common, results
+import typer
+
+from derail_ros.commands import common, models
 from derail_ros.commands.common import FAILED, CommandFailure, note
-from derail_ros.studies.ensemble import VARIATION, advance, describe, ensemble_jobs, run_many
-from derail_ros.studies.records import record_of
-from derail_ros.vocabulary.measures import Record, failed_record, outcome_record
+from derail_ros.commands.options import (
+    Jobs,
+    Json,
+    ScenarioName,
+    Seed,
+    Settings,
+    of_model,
+    runs,
+    written,
+)
+from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.scenario import Scenario
+    from derail_ros.vocabulary.measures import Record
     from derail_ros.vocabulary.params import TrainParams
     from derail_ros.vocabulary.simulation import Simulation
 
 
 def run(
-    name_or_file: str,
-    settings: Sequence[str],
-    ensemble: int | None,
-    seed: int,
-    jobs: int | None,
-    as_json: bool,
-    output: Path | None,
-    verbose: bool = False,
+    scenario: ScenarioName,
+    settings: Settings = None,
+    ensemble: Annotated[
+        int | None, runs("Runs; all but the first vary the lateral force by up to 4 %.", 1)
+    ] = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    output: Annotated[
+        Path | None, written("Write a recording, figures, outcomes and a manifest there.")
+    ] = None,
+    model: Annotated[
+        str | None, of_model("Name of a model, see `derail models`; default: planar.")
+    ] = None,
+    roll: Annotated[
+        bool, typer.Option("--roll", help="Estimate how far uncoupled cars roll over.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show the numerical quality too.")
+    ] = False,
 ) -> int:
-    """Simulate and report; the exit code."""
-    from derail_ros import models
+    """Run a scenario until the train is at rest, and show the outcome. Needs no ROS."""
+    from derail_ros import models as engines
+    from derail_ros.commands import results
+    from derail_ros.studies.ensemble import VARIATION, compute
     from derail_ros.vocabulary.errors import ParameterError
 
-    scenario = common.load(name_or_file, settings)
-    params = scenario.to_params()
-    members = 1 if ensemble is None else ensemble
+    if model == "toma":  # its name before 0.2
+        model = PLANAR
+    earlier = roll or (model is not None and model not in engines.names())
+    if model is not None and not earlier:
+        settings = [f"model={model}", *(settings or [])]
+    loaded = common.load(scenario, settings)
+    if earlier:
+        return models.run(
+            model or PLANAR, loaded, settings or [], ensemble, seed, jobs, roll, as_json, output,
+            verbose,
+        )  # fmt: skip
+    params = loaded.to_params()
+    members = ensemble or 1
     if members > 1 and not params.initiation.lateral_forces:
-        note(f"{scenario.name} has no lateral force to vary: all members are the same run")
+        note(f"{loaded.name} has no lateral force to vary: all members are the same run")
     if output is not None:
         output = common.output_directory(output)
     common.warm_up(params.model)
     try:
-        simulation = models.build(params)
+        simulation = engines.build(params)
     except ParameterError as error:
-        raise CommandFailure(f"{scenario.name}: {error}") from None
+        raise CommandFailure(f"{loaded.name}: {error}") from None
 
     records: list[Record] = []
     with common.progress(*_columns(members)) as bars:
-        task = bars.add_task(scenario.name, total=members if members > 1 else None, state="")
+        task = bars.add_task(loaded.name, total=members if members > 1 else None, state="")
         if members == 1 or output is not None:
-            records.append(_first(simulation, scenario, output, bars, task))
+            records.append(_first(simulation, loaded, output, bars, task))
             bars.update(task, advance=1)
-        if len(records) < members:
-            runs = islice(ensemble_jobs(params, members, seed=seed), len(records), None)
-            done = {}  # records and not outcomes: there may be thousands
-            with closing(run_many(runs, jobs=jobs)) as found:
-                for result in found:
-                    done[result.job.member] = record_of(result)
-                    bars.update(task, advance=1)
-            records += [done[member] for member in sorted(done)]
+        done = len(records)
+        records += results.members(
+            params, done, members, seed, jobs, compute, lambda: bars.update(task, advance=1)
+        )
     late = late_break(params, records[0])
     report = results.report_of(
-        scenario,
+        loaded,
         params.model,
         None if ensemble is None else seed,
         records,
@@ -74,8 +102,8 @@ def run(
     )
     if output is not None:
         if "error" not in records[0]:
-            _draw(output, scenario.title, simulation)
-        results.write(output, scenario, settings, report, variation=VARIATION, commands=[])
+            _draw(output, loaded.title, simulation)
+        results.write(output, loaded, settings or [], report, variation=VARIATION, commands=[])
     return results.finish(report, output, as_json, verbose)
 
 
@@ -114,7 +142,9 @@ def _first(
 ) -> Record:
     """Run the scenario itself, recorded if there is an output folder."""
     from derail_ros.recording import RecordingError, record_run
+    from derail_ros.studies.ensemble import advance, describe
     from derail_ros.vocabulary.errors import SimulationError
+    from derail_ros.vocabulary.measures import failed_record, outcome_record
 
     def show(running: Simulation) -> None:
         cars = count(running.outcome().cars_derailed, "car")

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Annotated
 
 from derail_ros.commands import common
 from derail_ros.commands.common import CommandFailure
+from derail_ros.commands.options import Jobs, Json, ScenarioNames, Seed, Texts, changes, runs
 
 
 def run(
-    names: Sequence[str],
-    settings: Sequence[str],
-    members: int,
-    seed: int,
-    jobs: int | None,
-    as_json: bool,
+    names: ScenarioNames = None,
+    settings: Annotated[Texts, changes("a value in all of them")] = None,
+    members: Annotated[int, runs("Runs per scenario.")] = 200,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    as_json: Json = False,
 ) -> int:
-    """Run and report; the exit code tells whether runs failed."""
+    """Show the distributions of outcomes over many runs of a scenario."""
     from derail_ros.studies import spread as s
     from derail_ros.studies.published import load_published
     from derail_ros.studies.records import with_status

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, INTERRUPTED, OK, CommandFailure, note
+from derail_ros.commands.options import Jobs, Json, Texts, changes, runs, written
 from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
     from derail_ros.studies.results import StudyResults
+
+
+Results = Annotated[Path, typer.Argument(help="Folder with the results of a study.")]
 
 
 def _need_extra() -> None:
@@ -19,21 +24,33 @@ def _need_extra() -> None:
 
 
 def run(
-    name_or_file: str,
-    settings: Sequence[str],
-    ensemble: int | None,
-    points: int | None,
-    seed: int | None,
-    jobs: int | None,
-    dask: str | None,
-    table: str,
-    output: Path | None,
-    check_only: bool,
-    as_json: bool,
+    name: Annotated[
+        str, typer.Argument(metavar="STUDY", help="Name of a shipped study, or a YAML file.")
+    ],
+    settings: Annotated[Texts, changes("a value of the base scenario")] = None,
+    ensemble: Annotated[int | None, runs("Runs per point.", 1)] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="Points of a sampled design; N of sobol.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the study.")] = None,
+    jobs: Jobs = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="tcp://...", help="Run on this Dask cluster.")
+    ] = None,
+    table: Annotated[str, typer.Option(help="Format of the table: parquet or csv.")] = "parquet",
+    output: Annotated[
+        Path | None, written("Folder for the results; default: runs/study_NAME.")
+    ] = None,
+    check_only: Annotated[
+        bool, typer.Option("--check", help="Check all points and run none.")
+    ] = False,
+    as_json: Json = False,
 ) -> int:
-    """Run a study and say what it says; the exit code."""
+    """Run a study, or what is missing of it, and say what it shows.
+
+    After an interruption the same command goes on from the runs that are finished.
+    """
     _need_extra()
-    from derail_ros.scenario import parse_set
     from derail_ros.studies.cluster import ClusterError, on_cluster
     from derail_ros.studies.design import check, make
     from derail_ros.studies.ensemble import default_jobs, run_many
@@ -43,9 +60,9 @@ def run(
 
     if table not in TABLES:
         raise CommandFailure(f"--table: must be parquet or csv, got {table!r}")
-    study = load_study(name_or_file)
+    study = load_study(name)
     study = study.changed(ensemble=ensemble, seed=seed, points=points)
-    study = study.with_overrides(dict(parse_set(text) for text in settings))
+    study = study.with_overrides(common.overrides(settings))
     design = make(study)
     where = f"the cluster at {dask}" if dask else count(jobs or default_jobs(), "core")
     if check_only:
@@ -80,29 +97,29 @@ def run(
     return _answer(folder, as_json)
 
 
-def show(folder: Path, as_json: bool) -> int:
-    """Print what results say."""
+def show(results: Results, as_json: Json = False) -> int:
+    """Print the results: means with their uncertainty, and sentences."""
     _need_extra()
-    return _answer(folder, as_json)
+    return _answer(results, as_json)
 
 
-def report(folder: Path, output: Path) -> int:
-    """Write the page of results."""
+def report(results: Results, output: Annotated[Path, written("Folder for the page.")]) -> int:
+    """Write a page (HTML) with figures and tables, the figures (PNG) and the tables (CSV)."""
     _need_extra()
     from derail_ros.studies.page import write_report
 
-    results = _results(folder)
+    found = _results(results)
     try:
         output.mkdir(parents=True, exist_ok=True)
-        page = write_report(results, output)
+        page = write_report(found, output)
     except OSError as error:
         raise CommandFailure(f"{output}: {error.strerror or error}") from None
     print(page)
     return OK
 
 
-def listing(as_json: bool) -> int:
-    """List the studies that ship."""
+def listing(as_json: Json = False) -> int:
+    """List the shipped studies."""
     _need_extra()
     from derail_ros.studies.design import list_studies
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Annotated
 
 from derail_ros.commands import common
+from derail_ros.commands.options import Jobs, Json, Seed, Texts, changes, runs
 
 
-def run(members: int, seed: int, jobs: int | None, settings: Sequence[str], as_json: bool) -> int:
-    """Compare and report; the exit code tells whether runs failed, not whether goals were met."""
-    from derail_ros.scenario import parse_set
+def run(
+    members: Annotated[int, runs("Runs per case.")] = 20,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    settings: Annotated[Texts, changes("a value in all cases")] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare ensembles with the published runs."""
     from derail_ros.studies import validation as v
     from derail_ros.studies.records import with_status
 
-    overrides = dict(parse_set(text) for text in settings)
+    overrides = common.overrides(settings)
     with common.counting_runs("validate") as progress:
         result = v.validate(members, seed, jobs=jobs, settings=overrides, progress=progress)
     if as_json:

@@ -14,21 +14,13 @@ from msg_adapters.topics import MANIFEST
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic of a recording.
-
-    Attributes
-    ----------
-    topic, msgtype : its name and type, for example ``derail_msgs/msg/TrainState``
-    definition : text of the message definition, "" if the recording has none
-    qos : quality of service of its publishers
-    digest : hash of the type description, "" if unknown
-    """
+    """A topic of a recording."""
 
     topic: str
-    msgtype: str
-    definition: str = ""
-    qos: tuple[Qos, ...] = ()
-    digest: str = ""
+    msgtype: str  # for example ``derail_msgs/msg/TrainState``
+    definition: str = ""  # text of the message definition, "" if the recording has none
+    qos: tuple[Qos, ...] = ()  # of its publishers
+    digest: str = ""  # hash of the type description, "" if unknown
 
     @property
     def namespace(self) -> str:

@@ -65,17 +65,11 @@ def message_run(topic: Topic, data: bytes) -> str:
 
 @dataclass
 class TopicCount:
-    """Messages of one topic.
-
-    Attributes
-    ----------
-    received : number of messages that arrived
-    lost : number of messages that are missing by the middleware's sequence numbers
-    stamps : times of the messages, ns (state topics only)
-    """
+    """Messages of one topic."""
 
     received: int = 0
-    lost: int = 0
+    lost: int = 0  # missing by the middleware's sequence numbers
+    # times of the messages, ns (state topics only)
     stamps: list[int] = field(default_factory=list)
 
     def gaps(self, start: int | None = None) -> int:

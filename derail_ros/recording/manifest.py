@@ -55,64 +55,43 @@ def software_versions() -> dict[str, str]:
 
 @dataclass
 class RunEntry:
-    """One run of a recording.
-
-    Attributes
-    ----------
-    run_id : identity of the run in its messages
-    scenario_name, scenario_hash : which scenario
-    scenario : the scenario with all defaults filled in, as plain data
-    model, engine_hash : what computed it; no hash: that of ``Manifest.software``
-    files : SHA-256 of the files that the scenario was made from, by name; their content is in
-        the message of the train
-    seed : seed of what is drawn at random (the model draws nothing: ``None``)
-    start_time : simulation time at which it began, ns
-    commands : the commands applied to it, with the step at which each was: name, arguments,
-        step, time
-    refused : the commands refused while it was loaded: command, request, reason, step, time
-    status : how it ended, or ``"running"``
-    time, steps : run time (s) and accepted steps at its end
-    final_state_hash : hash of the engine's state at its end
-    outcome : its record (``vocabulary.measures.outcome_record``)
-    """
+    """One run of a recording."""
 
     run_id: str
     scenario_name: str
     scenario_hash: str
-    scenario: dict[str, Any]
+    scenario: dict[str, Any]  # with all defaults filled in, as plain data
     model: str = PLANAR
-    engine_hash: str = ""
+    engine_hash: str = ""  # "": that of ``Manifest.software``
+    # SHA-256 by name; the content is in the train's message
     files: dict[str, str] = field(default_factory=dict)
-    seed: int | None = None
-    start_time: int = 0
+    seed: int | None = None  # of what is drawn at random; the model draws nothing
+    start_time: int = 0  # simulation time, ns
+    # applied ones: name, arguments, step, time
     commands: list[dict[str, Any]] = field(default_factory=list)
+    # refused ones: command, request, reason, step, time
     refused: list[dict[str, Any]] = field(default_factory=list)
-    status: str = RUNNING
-    time: float = 0.0
-    steps: int = 0
-    final_state_hash: str = ""
-    outcome: dict[str, Any] = field(default_factory=dict)
+    status: str = RUNNING  # how it ended, or "running"
+    time: float = 0.0  # run time at its end, s
+    steps: int = 0  # accepted ones
+    final_state_hash: str = ""  # of the engine's state at its end
+    outcome: dict[str, Any] = field(default_factory=dict)  # ``vocabulary.measures.outcome_record``
 
 
 @dataclass
 class Manifest:
-    """Where a recording comes from.
+    """Where a recording comes from."""
 
-    Attributes
-    ----------
-    runs : its runs, in order; the outcome of interest is usually that of the last one
-    software : versions of what computed it
-    created : wall time at which it was begun, ISO 8601
-    settings : state_rate (Hz), marker_rate (Hz) and so on
-    messages : number of messages by topic, known once the recording is closed
-    """
-
+    # in order; the outcome of interest is usually that of the last one
     runs: list[RunEntry] = field(default_factory=list)
     software: dict[str, str] = field(default_factory=software_versions)
+    # wall time at which it was begun, ISO 8601
     created: str = field(
         default_factory=lambda: datetime.datetime.now(datetime.timezone.utc).isoformat()
     )
+    # state_rate (Hz), marker_rate (Hz) and so on
     settings: dict[str, Any] = field(default_factory=dict)
+    # by topic, known once the recording is closed
     messages: dict[str, int] = field(default_factory=dict)
     format: str = FORMAT
     version: int = VERSION

@@ -32,18 +32,12 @@ LARGEST_RECORD = 1 << 29
 
 @dataclass
 class Index:
-    """What the index of a file says.
+    """What the index of a file says."""
 
-    Attributes
-    ----------
-    schemas, channels : by their numbers in the file
-    chunks : where its chunks begin, bytes
-    span : first and last time, ns
-    """
-
+    # by their numbers in the file, as are the channels
     schemas: dict[int, parts.Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[int] = field(default_factory=list)
+    chunks: list[int] = field(default_factory=list)  # where they begin, bytes
     span: Span | None = None
 
 

@@ -40,28 +40,18 @@ NOT_COMPUTED = (
 
 @dataclass(frozen=True)
 class Recomputed:
-    """A run that was computed again, compared with its recording.
-
-    Attributes
-    ----------
-    run_id, scenario, status : of the run
-    commands : number of commands
-    steps, time : accepted steps and run time (s) at its end
-    same_state : whether the final states are equal to the bit, ``None`` if none was recorded
-    events, contacts : how many were compared, ``None`` without a recording
-    differences : in words, empty if everything is equal
-    """
+    """A run that was computed again, compared with its recording."""
 
     run_id: str
     scenario: str
     status: str
-    commands: int
-    steps: int
-    time: float
-    same_state: bool | None
-    events: int | None
+    commands: int  # number of them
+    steps: int  # accepted ones
+    time: float  # run time at its end, s
+    same_state: bool | None  # final states are equal to the bit; None if none was recorded
+    events: int | None  # how many were compared, None without a recording; likewise contacts
     contacts: int | None
-    differences: tuple[str, ...]
+    differences: tuple[str, ...]  # in words, empty if everything is equal
 
     def plain(self) -> dict[str, Any]:
         """The fields for JSON."""

@@ -21,22 +21,13 @@ from msg_adapters.topics import MANIFEST, TOPICS, bag_qos
 
 @dataclass(frozen=True)
 class Repaired:
-    """Result of a repair.
+    """Result of a repair."""
 
-    Attributes
-    ----------
-    path : the new recording; the old one if it was whole
-    counts : messages by topic
-    span : their first and last time, ns
-    warnings : what could not be read
-    was_whole : there was nothing to repair and nothing was written
-    """
-
-    path: Path
-    counts: dict[str, int]
-    span: Span
-    warnings: tuple[str, ...]
-    was_whole: bool
+    path: Path  # the new recording; the old one if it was whole
+    counts: dict[str, int]  # messages by topic
+    span: Span  # first and last time, ns
+    warnings: tuple[str, ...]  # what could not be read
+    was_whole: bool  # there was nothing to repair and nothing was written
 
 
 class _Tally:

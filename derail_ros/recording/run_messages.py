@@ -75,30 +75,20 @@ class Series:
 
 @dataclass
 class RunMessages:
-    """What the messages of one run say.
+    """What the messages of one run say."""
 
-    Attributes
-    ----------
-    consist : ``derail_msgs/Consist``
-    line : the track
-    outcome : the last one, or the final one
-    events, collisions, commands : by their numbers in the run
-    steps : largest number of steps in any message
-    states : time, pose, velocity, coupler angles, trucks, brakes, corner force, stamp (ns)
-    couplings : time, which hold
-    energy : time, values, entries
-    """
-
-    consist: Any = None
-    line: SampledLine | None = None
-    outcome: Outcome | None = None
+    consist: Any = None  # ``derail_msgs/Consist``
+    line: SampledLine | None = None  # the track
+    outcome: Outcome | None = None  # the last one, or the final one
+    # by their numbers in the run, as are collisions and commands
     events: dict[int, Event] = field(default_factory=dict)
     collisions: dict[int, Collision] = field(default_factory=dict)
     commands: dict[int, dict[str, Any]] = field(default_factory=dict)
-    steps: int = 0
+    steps: int = 0  # largest number in any message
+    # time, pose, velocity, coupler angles, trucks, brakes, corner force, stamp (ns)
     states: Series = field(default_factory=Series)
-    couplings: Series = field(default_factory=Series)
-    energy: Series = field(default_factory=Series)
+    couplings: Series = field(default_factory=Series)  # time, which hold
+    energy: Series = field(default_factory=Series)  # time, values, entries
 
     def take(self, kind: str, m: Any) -> bool:
         """Keep a message; false if it does not fit the others.

@@ -44,29 +44,18 @@ class BagVersionError(BagError):
 
 @dataclass
 class RawBag:
-    """A recording that was found and can be read.
+    """A recording that was found and can be read."""
 
-    Attributes
-    ----------
-    path : folder or file
-    storage : "mcap" or "sqlite3"
-    files : its files in order; of compressed ones the unpacked copies
-    size : bytes on disk
-    channels : its topics
-    spans : first and last time of each file with an index, ns
-    intact : index and metadata are there
-    compressed_messages : each message is compressed by itself
-    warnings : what is wrong with it; grows while it is read
-    """
-
-    path: Path
-    storage: str
-    files: list[Path]
-    size: int
+    path: Path  # folder or file
+    storage: str  # "mcap" or "sqlite3"
+    files: list[Path]  # in order; of compressed ones the unpacked copies
+    size: int  # bytes on disk
     channels: list[Channel] = field(default_factory=list)
+    # first and last time of each file with an index, ns
     spans: list[Span] = field(default_factory=list)
-    intact: bool = True
-    compressed_messages: bool = False
+    intact: bool = True  # index and metadata are there
+    compressed_messages: bool = False  # each message by itself
+    # what is wrong with it; grows while it is read
     warnings: list[str] = field(default_factory=list)
     _unpacked: Any = None
 

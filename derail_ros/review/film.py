@@ -34,18 +34,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """Defaults of a kind of film.
+    """Defaults of a kind of film."""
 
-    Attributes
-    ----------
-    fps : pictures per second of the film
-    rate : recorded time per time of the film
-    width : pixels
-    """
-
-    fps: int
-    rate: float
-    width: int
+    fps: int  # pictures per second of the film
+    rate: float  # recorded time per time of the film
+    width: int  # pixels
 
 
 KINDS = {".mp4": Kind(20, 1.0, 960), ".gif": Kind(8, 2.0, 640)}

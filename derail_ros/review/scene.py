@@ -31,45 +31,26 @@ OUTLINE = (0, 1, 3, 2)
 
 @dataclass(frozen=True)
 class Scene:
-    """A train at one moment, N bodies; SI units, index 0 is car 1.
+    """A train at one moment, N bodies; SI units, index 0 is car 1."""
 
-    Attributes
-    ----------
-    pose : (N, 3) x, y (m) and yaw (rad) of the mass centres
-    length, width : (N,) bodies, m
-    pivot : (N,) centre to coupler pivot, m
-    truck_on : (N, 2) trucks on the rails, front and rear
-    coupled : (N-1,) coupling behind each car holds
-    represents : (N,) cars that a body stands for; more than 1 is drawn as a stand-in
-    coupler : (N, 2) absolute angles of the front and rear couplers, rad; nan where unknown
-    coupler_length : (N, 2) pivot to face, m
-    peak_force : (N,) largest corner force on each car, N; nan where unknown
-    track : (M, 2) centre line through the scene, m
-    breaks : (K, 3) rail breaks: x, y (m) and heading of the track (rad)
-    scene_length, scene_width : box of the derailed cars along and across the track, m
-    straight : the track is straight along +X, so that the box may be drawn
-    title, subtitle : lines above the picture
-    numbers : car number of each body; 1, 2, ... by default
-    """
-
-    pose: F64
-    length: F64
-    width: F64
-    pivot: F64
-    truck_on: Bool
-    coupled: Bool
-    represents: Int
-    coupler: F64
-    coupler_length: F64
-    peak_force: F64
-    track: F64
-    breaks: F64
-    scene_length: float = float("nan")
-    scene_width: float = float("nan")
-    straight: bool = True
+    pose: F64  # (N, 3) x, y (m) and yaw (rad) of the mass centres
+    length: F64  # (N,) bodies, m
+    width: F64  # (N,) m
+    pivot: F64  # (N,) centre to coupler pivot, m
+    truck_on: Bool  # (N, 2) on the rails, front and rear
+    coupled: Bool  # (N-1,) coupling behind each car holds
+    represents: Int  # (N,) cars that a body stands for; more than 1 is drawn as a stand-in
+    coupler: F64  # (N, 2) absolute angles, front and rear, rad; nan where unknown
+    coupler_length: F64  # (N, 2) pivot to face, m
+    peak_force: F64  # (N,) largest corner force on each car, N; nan where unknown
+    track: F64  # (M, 2) centre line through the scene, m
+    breaks: F64  # (K, 3) rail breaks: x, y (m) and heading of the track (rad)
+    scene_length: float = float("nan")  # box of the derailed cars along the track, m
+    scene_width: float = float("nan")  # across the track, m
+    straight: bool = True  # the track is straight along +X, so that the box may be drawn
     title: str = ""
     subtitle: str = ""
-    numbers: tuple[int, ...] = field(default=())
+    numbers: tuple[int, ...] = field(default=())  # car number of each body; 1, 2, ... by default
 
     def __post_init__(self) -> None:
         n = len(self.pose)

@@ -78,31 +78,20 @@ class AccidentFileError(ValueError):
 
 @dataclass(frozen=True)
 class Report:
-    """A freight train derailed on a main track.
-
-    Attributes
-    ----------
-    railroad, number, year : of the report
-    speed_kmh : when it derailed
-    cars, loaded : freight cars of the train; of them loaded
-    derailed : freight cars
-    first : place of the first car involved among the cars, from 1
-    mass_kg : mean gross mass of a car; None where the report's weight cannot be right
-    cause : the FRA's code of the primary cause
-    placed : the report gives the place of the first car involved; without, it is taken to be 1
-    """
+    """A freight train derailed on a main track."""
 
     railroad: str
     number: str
     year: int
-    speed_kmh: float
-    cars: int
-    loaded: int
-    derailed: int
-    first: int
+    speed_kmh: float  # when it derailed
+    cars: int  # freight cars of the train
+    loaded: int  # of them loaded
+    derailed: int  # freight cars
+    first: int  # place of the first car involved among the cars, from 1
+    # mean gross mass of a car; None where the report's weight cannot be right
     mass_kg: float | None
-    cause: str
-    placed: bool = True
+    cause: str  # the FRA's code of the primary cause
+    placed: bool = True  # the report gives ``first``; otherwise it is taken to be 1
 
     @property
     def behind(self) -> int:
@@ -241,18 +230,11 @@ def _reports(lines: Any, path: Path) -> Iterator[Report]:
 
 @dataclass(frozen=True)
 class Group:
-    """Reports that are looked at together.
+    """Reports that are looked at together."""
 
-    Attributes
-    ----------
-    causes : codes of causes; all if empty
-    behind : least number of cars from the first one involved to the end
-    loaded : least share of loaded cars
-    """
-
-    causes: tuple[str, ...] = ()
-    behind: int = 1
-    loaded: float = 0.0
+    causes: tuple[str, ...] = ()  # codes; all if empty
+    behind: int = 1  # least number of cars from the first one involved to the end
+    loaded: float = 0.0  # least share of loaded cars
 
     def __contains__(self, report: Report) -> bool:
         return (
@@ -285,28 +267,18 @@ GROUPS: dict[str, Group] = {
 
 @dataclass(frozen=True)
 class SpeedClass:
-    """Cars derailed in the reports of a class of speed.
-
-    Attributes
-    ----------
-    low_kmh, high_kmh : limits, the upper one belongs to it
-    reports : number of them
-    speed_kmh : their mean
-    mean, error : of the cars derailed, and its standard error (0 of a single report)
-    median, q90 : of the cars derailed
-    behind : mean number of cars from the first one involved to the end
-    mass_kg : mean of the mean masses of a car, where they can be right; None: nowhere
-    """
+    """Cars derailed in the reports of a class of speed."""
 
     low_kmh: float
-    high_kmh: float
-    reports: int
-    speed_kmh: float
-    mean: float
-    error: float
+    high_kmh: float  # belongs to the class
+    reports: int  # number of them
+    speed_kmh: float  # their mean
+    mean: float  # of the cars derailed; likewise the next three
+    error: float  # standard error of the mean (0 of a single report)
     median: float
     q90: float
-    behind: float
+    behind: float  # mean number of cars from the first one involved to the end
+    # mean of the mean masses of a car that can be right; None: there is none
     mass_kg: float | None
 
 
@@ -349,18 +321,11 @@ def by_speed(reports: Iterable[Report]) -> list[SpeedClass]:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Averages of reports: what is shipped of them.
-
-    Attributes
-    ----------
-    source : of the reports
-    years : first and last
-    groups : name of a group -> its classes of speed
-    """
+    """Averages of reports: what is shipped of them."""
 
     source: str
-    years: tuple[int, int]
-    groups: Mapping[str, tuple[SpeedClass, ...]]
+    years: tuple[int, int]  # first and last
+    groups: Mapping[str, tuple[SpeedClass, ...]]  # name of a group -> its classes of speed
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data."""

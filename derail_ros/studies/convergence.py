@@ -53,18 +53,11 @@ Z95 = 1.959964
 
 @dataclass(frozen=True)
 class Trace:
-    """What is kept of a run.
+    """What is kept of a run."""
 
-    Attributes
-    ----------
-    path : (T, N, 2) places of the mass centres every :data:`INTERVAL`, m
-    outcome : of the run
-    first_contact : s; inf without
-    """
-
-    path: F64
+    path: F64  # (T, N, 2) mass centres every :data:`INTERVAL`, m
     outcome: Outcome
-    first_contact: float
+    first_contact: float  # s; inf without
 
 
 def trace(job: Job, stop: Callable[[], bool]) -> Trace:
@@ -97,25 +90,16 @@ def parted(a: F64, b: F64, distance: float = APART) -> float:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One measure at one tolerance against the tightest, SI units.
-
-    Attributes
-    ----------
-    mean, mean_95 : mean at this tolerance, half width of its 95 % confidence
-    difference, difference_95 : of the mean from that at the tightest, and its 95 % confidence
-    ks_distance, ks_p : Kolmogorov-Smirnov
-    median_difference_of_twins : of members from themselves at the tightest tolerance
-    median_difference_of_members : of two members of the tightest
-    """
+    """One measure at one tolerance against the tightest, SI units."""
 
     mean: float
-    mean_95: float
-    difference: float
+    mean_95: float  # half width of its 95 % confidence
+    difference: float  # of the mean from that at the tightest
     difference_95: float
-    ks_distance: float
+    ks_distance: float  # Kolmogorov-Smirnov
     ks_p: float
-    median_difference_of_twins: float
-    median_difference_of_members: float
+    median_difference_of_twins: float  # of members from themselves at the tightest
+    median_difference_of_members: float  # of two members of the tightest
 
     @property
     def agrees(self) -> bool:
@@ -145,29 +129,17 @@ def compare(key: str, values: F64, tightest: F64) -> Comparison:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """An ensemble at one tolerance, compared with the tightest.
-
-    Attributes
-    ----------
-    rtol : tolerance
-    method : integrator; None for the scenario's own
-    members : runs that count, here and at the tightest
-    steps : median number
-    largest_constraint_error_m, largest_energy_residual : of all members
-    parted_s : (members,) when each parts from itself at the tightest tolerance; inf: never
-    first_contact_s : (members,) inf without
-    measures : by key
-    """
+    """An ensemble at one tolerance, compared with the tightest."""
 
     rtol: float
-    method: str | None
-    members: int
-    steps: float
-    largest_constraint_error_m: float
+    method: str | None  # integrator; None for the scenario's own
+    members: int  # runs that count, here and at the tightest
+    steps: float  # median number
+    largest_constraint_error_m: float  # of all members, as is the residual
     largest_energy_residual: float
-    parted_s: list[float]
-    first_contact_s: list[float]
-    measures: dict[str, Comparison]
+    parted_s: list[float]  # when each member parts from itself at the tightest; inf: never
+    first_contact_s: list[float]  # of each member; inf without
+    measures: dict[str, Comparison]  # by key
 
     @property
     def label(self) -> str:
@@ -177,21 +149,14 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Convergence:
-    """A scenario at all tolerances, the loosest first.
-
-    Attributes
-    ----------
-    scenario, title, method, default_rtol : of the scenario
-    tolerances : of its own integrator
-    reference : another integrator
-    """
+    """A scenario at all tolerances, the loosest first."""
 
     scenario: str
     title: str
-    method: str
+    method: str  # of the scenario
     default_rtol: float
-    tolerances: list[Tolerance]
-    reference: Tolerance | None = None
+    tolerances: list[Tolerance]  # of this integrator, the loosest first
+    reference: Tolerance | None = None  # another integrator
 
     @property
     def tightest(self) -> Tolerance:

@@ -36,18 +36,11 @@ Place = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Level:
-    """A value of a parameter.
+    """A value of a parameter."""
 
-    Attributes
-    ----------
-    value : as in the table
-    overrides : what it changes in the scenario
-    place : where it stands in the study
-    """
-
-    value: Any
-    overrides: Mapping[str, Any]
-    place: Place
+    value: Any  # as in the table
+    overrides: Mapping[str, Any]  # what it changes in the scenario
+    place: Place  # where it stands in the study
 
 
 @dataclass(frozen=True)
@@ -75,22 +68,13 @@ class Axis:
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a design.
+    """A point of a design."""
 
-    Attributes
-    ----------
-    index : its number, from 0
-    columns : parameter -> value
-    overrides : what it changes in the base scenario
-    varied : one at a time: the parameter that differs from the base; "" otherwise
-    place : where it stands in the study, for mistakes
-    """
-
-    index: int
-    columns: Mapping[str, Any]
-    overrides: Mapping[str, Any]
-    varied: str
-    place: Place
+    index: int  # from 0
+    columns: Mapping[str, Any]  # parameter -> value
+    overrides: Mapping[str, Any]  # what it changes in the base scenario
+    varied: str  # one at a time: the parameter that differs from the base; "" otherwise
+    place: Place  # where it stands in the study, for mistakes
 
 
 class Design(Sequence[Point]):

@@ -20,25 +20,15 @@ from derail_ros.studies.ensemble import Job, ScenarioLike
 
 @dataclass(frozen=True)
 class Doubt:
-    """A constant in doubt.
+    """A constant in doubt."""
 
-    Attributes
-    ----------
-    label : what it is, with the unit of the range
-    path : dotted path
-    low, high : range
-    scale : the path's unit in the label's
-    why : where the range comes from
-    logarithmic : uniform in its logarithm
-    """
-
-    label: str
-    path: str
+    label: str  # with the unit of the range
+    path: str  # dotted
     low: float
     high: float
-    scale: float
-    why: str
-    logarithmic: bool = False
+    scale: float  # the path's unit in the label's
+    why: str  # where the range comes from
+    logarithmic: bool = False  # uniform in its logarithm
 
     def at(self, u: float) -> float:
         """The value (unit of the path) below which a share ``u`` of the probability lies."""

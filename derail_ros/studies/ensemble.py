@@ -68,24 +68,15 @@ def member_factor(seed: int, member: int, variation: float = VARIATION) -> float
 
 @dataclass(frozen=True)
 class Job:
-    """One run to compute.
-
-    Attributes
-    ----------
-    scenario : the scenario, or the engine's parameters themselves
-    overrides : dotted path -> value, applied to the scenario
-    member : number within its ensemble, from 0
-    seed : seed of the ensemble
-    variation : half width of the lateral force's variation, relative
-    key : the caller's name for this job; given back with the result
-    """
+    """One run to compute."""
 
     scenario: ScenarioLike | TrainParams
+    # dotted path -> value, applied to the scenario
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    member: int = 0
-    seed: int = 0
-    variation: float = VARIATION
-    key: Any = None
+    member: int = 0  # number within its ensemble, from 0
+    seed: int = 0  # of the ensemble
+    variation: float = VARIATION  # half width of the lateral force's variation, relative
+    key: Any = None  # the caller's name for this job; given back with the result
 
     @property
     def factor(self) -> float:
@@ -114,21 +105,12 @@ def vary(params: TrainParams, factor: float) -> TrainParams:
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of a job.
+    """What came of a job."""
 
-    Attributes
-    ----------
-    index : place of the job among those given, from 0
-    job : the job
-    value : its outcome (or what another ``task`` gave back); None if it failed
-    error : why it failed, one line; None if it did not
-    wall_s : time it took, s
-    """
-
-    index: int
+    index: int  # place of the job among those given, from 0
     job: Job
-    value: Any
-    error: str | None
+    value: Any  # outcome (or what another ``task`` gave back); None if it failed
+    error: str | None  # why it failed, one line; None if it did not
     wall_s: float
 
     @property

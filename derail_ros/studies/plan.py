@@ -169,20 +169,12 @@ class StudyModel(Section):
 
 @dataclass(frozen=True)
 class Study:
-    """A study whose own text is in order; :func:`derail_ros.studies.design.make` checks the rest.
+    """A study whose own text is in order; ``design.make`` checks the rest."""
 
-    Attributes
-    ----------
-    name : what it was loaded as
-    model : its fields
-    scenario : the base scenario, its overrides carried out
-    document : its text, for the places of mistakes
-    """
-
-    name: str
+    name: str  # what it was loaded as
     model: StudyModel
-    scenario: Scenario
-    document: Document
+    scenario: Scenario  # the base scenario, its overrides carried out
+    document: Document  # its text, for the places of mistakes
 
     def error(self, path: tuple[str | int, ...], reason: str) -> ScenarioError:
         """The error that names the place of ``path`` in the study's file."""

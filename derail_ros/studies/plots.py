@@ -51,21 +51,12 @@ SHADE = "#dcebf5"
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure with its words.
+    """A figure with its words."""
 
-    Attributes
-    ----------
-    name : of its file
-    title : heading
-    caption : what is drawn and how
-    alt : for a reader who cannot see it
-    figure : the figure
-    """
-
-    name: str
-    title: str
-    caption: str
-    alt: str
+    name: str  # of its file
+    title: str  # heading
+    caption: str  # what is drawn and how
+    alt: str  # for a reader who cannot see it
     figure: Figure
 
 

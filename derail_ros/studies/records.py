@@ -213,10 +213,11 @@ def _nest(flat: Mapping[str, float | None]) -> Record:
 
 
 def record_of(result: JobResult) -> Record:
-    """The record of a job whose value is an outcome."""
+    """The record of a job whose value is an outcome, or a record itself."""
     if result.error is not None:
         return failed_record(result.error, result.wall_s)
-    return outcome_record(result.outcome, result.wall_s)
+    value: Any = result.value
+    return value if isinstance(value, dict) else outcome_record(value, result.wall_s)
 
 
 def ensembles(runs: Iterable[Job], **how: Any) -> dict[Any, Ensemble]:

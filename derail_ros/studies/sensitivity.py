@@ -49,16 +49,10 @@ CONTROL = "Controls: changes that mean nothing"
 
 @dataclass(frozen=True)
 class Compared:
-    """A measure that is compared, and how.
-
-    Attributes
-    ----------
-    key : of the measure
-    ratio : changes are ratios of geometric means, shown in percent
-    """
+    """A measure that is compared, and how."""
 
     key: str
-    ratio: bool = False
+    ratio: bool = False  # changes are ratios of geometric means, shown in percent
 
     @property
     def unit(self) -> str:
@@ -122,20 +116,12 @@ EDITS: Mapping[str, Callable[[Any], Edit]] = {
 
 @dataclass(frozen=True)
 class Change:
-    """Another value, or another form.
+    """Another value, or another form."""
 
-    Attributes
-    ----------
-    value : in words
-    side : -1 below the default, 1 above it, 0 another form
-    settings : dotted path -> value
-    edit : change of the engine's parameters where no path leads
-    """
-
-    value: str
-    side: int
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    edit: Edit | None = None
+    value: str  # in words
+    side: int  # -1 below the default, 1 above it, 0 another form
+    settings: Mapping[str, Any] = field(default_factory=dict)  # dotted path -> value
+    edit: Edit | None = None  # change of the engine's parameters where no path leads
 
     def params(self, scenario: ScenarioLike) -> TrainParams:
         """The engine's parameters with the change."""
@@ -147,23 +133,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant or form with the changes that are tried.
+    """A constant or form with the changes that are tried."""
 
-    Attributes
-    ----------
-    name : short, for ``--only``
-    label, default : words
-    group : heading
-    changes : in rising order, other forms last
-    only : names of the cases in which it matters; empty: all
-    """
-
-    name: str
+    name: str  # short, for ``--only``
     label: str
     default: str
-    group: str
-    changes: tuple[Change, ...]
-    only: tuple[str, ...] = ()
+    group: str  # heading
+    changes: tuple[Change, ...]  # in rising order, other forms last
+    only: tuple[str, ...] = ()  # names of the cases in which it matters; empty: all
 
 
 def _constant(group: str, entry: dict[str, Any]) -> Constant:
@@ -205,18 +182,11 @@ def load_constants() -> tuple[Constant, ...]:
 
 @dataclass(frozen=True)
 class Difference:
-    """A measure with a change less that without it.
+    """A measure with a change less that without it."""
 
-    Attributes
-    ----------
-    mean, error : mean and its standard error; natural logarithms of ratios where the measure
-        is compared by them
-    pairs : members compared
-    """
-
-    mean: float
-    error: float
-    pairs: int
+    mean: float  # natural logarithm of a ratio where the measure is compared by ratios
+    error: float  # standard error of the mean
+    pairs: int  # members compared
 
     @property
     def known(self) -> bool:
@@ -275,23 +245,14 @@ def _as_dict(differences: Mapping[str, Difference]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Effect:
-    """What a change does.
-
-    Attributes
-    ----------
-    constant, change : what was changed
-    cases : name of case -> key of measure -> difference
-    overall : key of measure -> difference, over the cases
-    reached : how the changed model compares with the published runs
-    ensemble : all runs with the change
-    """
+    """What a change does."""
 
     constant: Constant
     change: Change
-    cases: Mapping[str, Mapping[str, Difference]]
-    overall: Mapping[str, Difference]
-    reached: tuple[Goal, ...]
-    ensemble: Ensemble
+    cases: Mapping[str, Mapping[str, Difference]]  # name of case -> key of measure -> difference
+    overall: Mapping[str, Difference]  # key of measure -> difference, over the cases
+    reached: tuple[Goal, ...]  # how the changed model compares with the published runs
+    ensemble: Ensemble  # all runs with the change
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data; ratios in percent."""
@@ -310,23 +271,14 @@ class Effect:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """All effects.
-
-    Attributes
-    ----------
-    members, seed : of the ensembles
-    cases : that were run
-    default : how the model as it is compares with the published runs
-    effects : in the order of the constants
-    runs, failed : numbers of all runs and of failed ones
-    """
+    """All effects."""
 
     members: int
     seed: int
     cases: tuple[PublishedCase, ...]
-    default: tuple[Goal, ...]
-    effects: tuple[Effect, ...]
-    runs: int
+    default: tuple[Goal, ...]  # how the model as it is compares with the published runs
+    effects: tuple[Effect, ...]  # in the order of the constants
+    runs: int  # number of all runs
     failed: int
 
     @property

@@ -33,23 +33,14 @@ KEYS = (
 
 @dataclass(frozen=True)
 class Spread:
-    """The ensemble of a scenario.
-
-    Attributes
-    ----------
-    name, title : of the scenario
-    members, seed : of the ensemble
-    ensemble : its records
-    distributions : by key of the measure
-    published_pair : pair with the largest force in the published run; None without
-    """
+    """The ensemble of a scenario."""
 
     name: str
     title: str
     seed: int
     ensemble: Ensemble
-    distributions: Mapping[str, Distribution]
-    published_pair: str | None
+    distributions: Mapping[str, Distribution]  # by key of the measure
+    published_pair: str | None  # with the largest force in the published run; None without
 
     @property
     def counted(self) -> int:

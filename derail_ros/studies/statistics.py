@@ -344,19 +344,12 @@ def sobol(results: StudyResults) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Line:
-    """Points that differ in one column only, in its order.
+    """Points that differ in one column only, in its order."""
 
-    Attributes
-    ----------
-    column : what differs; None for a list of cases
-    values, points : its values and their points
-    fixed : the values of the others
-    """
-
-    column: str | None
+    column: str | None  # what differs; None for a list of cases
     values: list[Any]
     points: list[int]
-    fixed: dict[str, Any] = field(default_factory=dict)
+    fixed: dict[str, Any] = field(default_factory=dict)  # the values of the others
 
     @property
     def numeric(self) -> bool:

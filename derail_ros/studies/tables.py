@@ -17,20 +17,12 @@ class Strong(str):
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes
-    ----------
-    heads : headings of the columns
-    rows : texts of the cells
-    title : what it shows
-    texts : number of leading columns that hold text, aligned left as are columns without a
-        heading; all others hold numbers
-    """
+    """A table."""
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
+    # leading columns of text, aligned left as those without a heading; others are numbers
     texts: int = 1
 
     def _is_text(self, column: int) -> bool:

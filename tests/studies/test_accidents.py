@@ -427,7 +427,7 @@ def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words)
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["--broken-rail"], "name their files"),
+        (["--broken-rail"], "need files of reports"),
         (["-m", "planar", "--behind", "7"], "there are no averages of: all causes, 7 or more"),
         (["-m", "planar", "--set", "brakes.delay=3"], "brakes.delay: unknown key"),
         (["--set", "brakes.delay_s=3"], "--set: changes the trains that --model runs"),
@@ -450,7 +450,7 @@ def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words)
         (["--report", "3"], "--report: name the files"),
         (
             ["{many}", "--report", "3", "-m", "planar"],
-            "--report: prints a scenario, with no other",
+            "--report: takes no other option than --set",
         ),
         (
             ["{many}", "--report", "nine"],
