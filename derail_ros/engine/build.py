@@ -12,6 +12,7 @@ from derail_ros.engine.arrays import Model, State
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
+from derail_ros.engine.negotiability import free_swing
 from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ParameterError
 from derail_ros.vocabulary.params import GRAVITY, Car, CouplerType, TrainParams
@@ -275,6 +276,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
 
     car = np.zeros(n, layout.CAR)
     striker = np.zeros((n, 2), layout.STRIKER)
+    free = free_swing(p.cars, track)
     units: list[tuple[float, ...]] = []
     unit_start = np.zeros(n + 1, dtype=np.int64)
     number = 1
@@ -302,7 +304,10 @@ def build_model(params: TrainParams, track: Track) -> Model:
             math.sqrt(k.coupler_inertia / k.mass),
         )
         for end, e in enumerate((k.front, k.rear)):
-            striker[i, end] = (e.striker_arm, e.striker_opening, e.k1, e.k2, e.damping)
+            striker[i, end] = (
+                e.striker_arm, e.striker_arm * free[i, end], e.striker_opening, e.k1, e.k2,
+                e.damping,
+            )  # fmt: skip
         for j, u in enumerate(k.brakes):
             units.append(
                 (

@@ -51,7 +51,7 @@ CAR = _table("""
     distance  # arc length of the centre behind car 1's, m
     gyration gyration_c  # sqrt(I / m), sqrt(I_c / m)
 """)
-STRIKER = _table("arm opening k1 k2 damping")  # (N, 2): front, rear
+STRIKER = _table("arm free opening k1 k2 damping")  # (N, 2): front, rear
 KNUCKLE = _table("""
     c0 c1 c2 root  # moment polynomial, N m
     limit

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from derail_ros.engine import layout
-from derail_ros.engine.arrays import Rows
+from derail_ros.engine.arrays import F64, Rows
 from derail_ros.engine.jit import jit
 from derail_ros.vocabulary.params import TrackParams
 
@@ -152,6 +152,23 @@ class Track:
         x, y = point_at(self.pieces, k, u)
         kappa = self.pieces[k]["kappa"] + self.pieces[k]["dkappa"] * u
         return float(x), float(y), float(heading_at(self.pieces, k, u)), float(kappa)
+
+    def points(self, s: F64) -> F64:
+        """Places (m, (..., 2)) at track coordinates ``s`` (m), also beyond the ends."""
+        if len(self.pieces) == 0:
+            return np.stack([s, np.zeros_like(s)], axis=-1)
+        last = len(self.pieces) - 1
+        p = self.pieces[np.clip(np.searchsorted(self.pieces["s"], s, "right") - 1, 0, last)]
+        u = s - p["s"]
+        half = 0.5 * p["kappa"] * u
+        chord = u * np.sinc(half / np.pi)
+        arc = chord * np.exp(1j * (p["psi"] + half))
+        heading = sum(
+            w * np.exp(1j * (p["psi"] + (p["kappa"] + 0.5 * p["dkappa"] * g * u) * g * u))
+            for g, w in zip(GX, GW, strict=True)
+        )
+        z = p["x"] + 1j * p["y"] + np.where(p["dkappa"] == 0.0, arc, u * heading)
+        return np.stack([z.real, z.imag], axis=-1)
 
     def locate(self, x: float, y: float, hint: float | None = None) -> tuple[float, float]:
         """Track coordinate and offset to the left of a point (m).

@@ -33,8 +33,8 @@ COUNTED = settings.get_profile("laws")
 
 # Striker ---------------------------------------------------------------------------------------
 
-F73 = (0.300, 4.88e6, 50e6)  # opening, k1, k2
-F70 = (0.080, 1.75e6, 50e6)
+F73 = (0.0, 0.300, 4.88e6, 50e6)  # opening, k1, k2
+F70 = (0.0, 0.080, 1.75e6, 50e6)
 
 
 @pytest.mark.parametrize(
@@ -49,6 +49,9 @@ F70 = (0.080, 1.75e6, 50e6)
         (F70, 0.08, 0.14e6),
         (F70, 0.10, 0.14e6 + 1.0e6),
         (F70, -0.05, -87.5e3),
+        ((0.02, *F70[1:]), -0.02, 0.0),  # free swing
+        ((0.02, *F70[1:]), -0.05, -52.5e3),
+        ((0.02, *F70[1:]), 0.10, 105e3 + 1.0e6),
     ],
 )
 def test_striker_force_by_hand(law, x, force):
@@ -62,6 +65,7 @@ def test_striker_force_by_hand(law, x, force):
         (F73, 0.4, 219.6e3 + 146.4e3 + 250e3),  # triangle, rectangle, triangle
         (F73, -0.4, 616.0e3),
         (F70, 0.1, 5.6e3 + 2.8e3 + 10e3),
+        ((0.02, *F70[1:]), 0.1, 3.15e3 + 2.1e3 + 10e3),
     ],
 )
 def test_striker_energy_by_hand(law, x, energy):
@@ -69,12 +73,16 @@ def test_striker_energy_by_hand(law, x, energy):
 
 
 @COUNTED
-@given(st.floats(-0.8, 0.8), st.floats(0.0, 0.4), st.floats(1e5, 1e7), st.floats(1e5, 1e8))
-def test_striker_energy_is_the_integral_of_its_force(x, opening, k1, k2):
-    kinks = [k for k in (-opening, opening) if min(0.0, x) < k < max(0.0, x)]
-    work, error = quad(spring_force, 0.0, x, args=(opening, k1, k2), points=kinks or None)
-    assert spring_energy(x, opening, k1, k2) == pytest.approx(work, rel=1e-9, abs=1e-6 + error)
-    assert spring_force(-x, opening, k1, k2) == -spring_force(x, opening, k1, k2)
+@given(
+    st.floats(-0.8, 0.8), st.floats(0.0, 1.0), st.floats(0.0, 0.4), st.floats(1e5, 1e7),
+    st.floats(1e5, 1e8),
+)  # fmt: skip
+def test_striker_energy_is_the_integral_of_its_force(x, share, opening, k1, k2):
+    law = (share * opening, opening, k1, k2)
+    kinks = [s * k for s in (-1, 1) for k in law[:2] if min(0.0, x) < s * k < max(0.0, x)]
+    work, error = quad(spring_force, 0.0, x, args=law, points=sorted(set(kinks)) or None)
+    assert spring_energy(x, *law) == pytest.approx(work, rel=1e-9, abs=1e-6 + error)
+    assert spring_force(-x, *law) == -spring_force(x, *law)
 
 
 # Knuckle ---------------------------------------------------------------------------------------

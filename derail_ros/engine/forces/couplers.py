@@ -50,7 +50,7 @@ def _striker(striker: Rows, q: F64, v: F64, i: int, end: int) -> tuple[float, fl
     s = striker[i, end]
     x = s.arm * (q[i, 3 + end] - q[i, 2])
     rate = s.arm * (v[i, 3 + end] - v[i, 2])
-    spring = spring_force(x, s.opening, s.k1, s.k2)
+    spring = spring_force(x, s.free, s.opening, s.k1, s.k2)
     return spring + s.damping * rate, s.damping * rate * rate
 
 
@@ -99,7 +99,7 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
         for end in range(2):
             s = model.striker[i, end]
             x = s.arm * (q[i, 3 + end] - q[i, 2])
-            striker += spring_energy(x, s.opening, s.k1, s.k2)
+            striker += spring_energy(x, s.free, s.opening, s.k1, s.k2)
         if i < n - 1 and coupled[i]:
             knuckle += _energy(model, i, q[i, 4] - q[i + 1, 3])
     return striker, knuckle
@@ -253,11 +253,13 @@ def first_kink(model: Model, state: State, work: Work, h: float) -> float:
         for end in range(2):
             s = model.striker[i, end]
             arm = s.arm
-            share = min(share, _engages(
-                arm * (q0[i, 3 + end] - q0[i, 2]), h * arm * (v0[i, 3 + end] - v0[i, 2]),
-                arm * (q1[i, 3 + end] - q1[i, 2]), h * arm * (v1[i, 3 + end] - v1[i, 2]),
-                s.opening, s.k2, force,
-            ))  # fmt: skip
+            x0 = arm * (q0[i, 3 + end] - q0[i, 2])
+            d0 = h * arm * (v0[i, 3 + end] - v0[i, 2])
+            x1 = arm * (q1[i, 3 + end] - q1[i, 2])
+            d1 = h * arm * (v1[i, 3 + end] - v1[i, 2])
+            share = min(share, _engages(x0, d0, x1, d1, s.opening, s.k2, force))
+            if s.free > 0.0:
+                share = min(share, _engages(x0, d0, x1, d1, s.free, s.k1, force))
         if i < n - 1 and state.coupled[i]:
             root = knuckle[i].root
             slope = abs(knuckle[i].c1 + 2.0 * knuckle[i].c2 * root)
