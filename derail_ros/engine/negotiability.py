@@ -18,7 +18,6 @@ from itertools import pairwise
 from typing import NoReturn
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from derail_ros.engine.arrays import F64
 from derail_ros.engine.track import Track
@@ -80,14 +79,16 @@ def smallest_radius(ahead: Car, behind: Car) -> float:
 
     The cars enter from a tangent, without a spiral, either of them first.
     """
+    from scipy.optimize import root_scalar  # slow to load, and needed for a refusal only
+
     reach = 2.0 * (ahead.length + behind.length)
-    turned = [replace(car, front=car.rear, rear=car.front) for car in (behind, ahead)]
+    first, second = (replace(car, front=car.rear, rear=car.front) for car in (behind, ahead))
     s = np.arange(-reach, 0.5 * reach, STEP)
 
     def excess(bend: float) -> float:
         segments = TrackSegment(reach), TrackSegment(reach, bend, bend)
         track = Track(TrackParams(segments, start_coordinate=-reach))
-        pairs = ((ahead, behind), turned)
+        pairs = ((ahead, behind), (first, second))
         return min(max(float(np.max(_shares(track, *pair, s))) for pair in pairs), 3.0) - 1.0
 
     bar = ahead.rear.length + behind.front.length
