@@ -22,6 +22,7 @@ from derail_ros.commands import (
     accidents,
     animate,
     compare,
+    consist,
     convergence,
     estimate,
     export,
@@ -84,6 +85,7 @@ studies = typer.Typer(
 
 for name, command in {
     "simulate": simulate.run,
+    "consist": consist.run,
     "scenarios": lists.scenarios,
     "models": lists.models,
     "estimate": estimate.run,

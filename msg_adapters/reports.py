@@ -17,6 +17,7 @@ from derail_ros.vocabulary.measures import MEASURES, TEXT
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.params import DerailmentParams, TrainParams
 from derail_ros.vocabulary.status import STATUSES
+from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals, length_over_couplers
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
 from msg_adapters.definitions import message_class
 
@@ -104,7 +105,10 @@ def consist(
         brake_type=[car.brakes[0].shoe if car.brakes else "none" for car in cars],
         brake_scale=doubles(car.brakes[0].scale if car.brakes else 0.0 for car in cars),
         represents_cars=np.array([car.represents for car in cars], dtype=np.uint32),
-        more=[],
+        more=[
+            quantity("length_over_couplers_m", doubles(map(length_over_couplers, cars)), "m"),
+            *(quantity(key, doubles(getattr(c, key) for c in cars)) for key in TRAIN_COUNTS),
+        ],
     )
 
 
@@ -386,7 +390,12 @@ def outcome_from_message(message: Any) -> Outcome:
         rear_part_coordinate=number("rear_part_coordinate_m"),
         energy=ledger_from_message(message.energy),
         energy_residual=number("energy_residual"),
-        train_cars=whole("train_cars"),
+        train=TrainTotals(
+            whole("train_cars"),
+            *(whole(f"train_{key}") for key in TRAIN_COUNTS),
+            length=number("train_length_m"),
+            mass=number("train_mass_kg"),
+        ),
         values={key: values[0] for key, values in told.items() if len(values) == 1},
         car_values={k: v for k, v in cars.items() if k not in CAR_VALUES and k not in POSE},
         **known,

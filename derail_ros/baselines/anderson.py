@@ -58,6 +58,7 @@ from derail_ros.vocabulary.params import GRAVITY, TrainParams
 from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
+from derail_ros.vocabulary.train import train_totals
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -677,7 +678,7 @@ class AndersonModel:
             rear_part_coordinate=float(s.truck_s[behind[0], 0]) if len(behind) else math.nan,
             energy=self.energy(),
             energy_residual=self.residual(),
-            train_cars=sum(car.represents for car in self.params.cars),
+            train=train_totals(self.params.cars),
             car_values={
                 "approach_speed_m_per_s": o[:, O_HIT_V].copy(),
                 "approach_car": o[:, O_HIT_OTHER].copy(),

@@ -32,6 +32,7 @@ from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
+from derail_ros.vocabulary.train import train_totals
 from derail_ros.vocabulary.words import finite
 
 if TYPE_CHECKING:
@@ -215,7 +216,7 @@ def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dic
         derailed_cars=tuple(c + train.first for c in outcome.derailed_cars),
         rear_part_first_car=rear + train.first if rear else 0,
         energy=energy,
-        train_cars=real_cars(params),
+        train=train_totals(params.cars),
     )
     yaw = outcome.pose[: outcome.cars_derailed, 5]
     notes = {
@@ -228,11 +229,6 @@ def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dic
         peak_force=np.full(train.n, np.nan),
     )
     return record_of(whole, NO_FORCES), scene, notes
-
-
-def real_cars(params: TrainParams) -> int:
-    """Number of cars of a train, those that a body stands for counted each."""
-    return sum(car.represents for car in params.cars)
 
 
 # A model of its own --------------------------------------------------------------------------
@@ -327,7 +323,7 @@ def _roorda_gracie(params: TrainParams, asked: Request) -> tuple[Record, Scene, 
 def _nothing(params: TrainParams, pose: Any, status: str, duration: float, steps: int) -> Outcome:
     """An outcome in which nothing is known but how long it took."""
     blank = Outcome.nothing(pose, status, duration, steps)
-    return dataclasses.replace(blank, duration=duration, train_cars=real_cars(params))
+    return dataclasses.replace(blank, duration=duration, train=train_totals(params.cars))
 
 
 NO_PLANE = (*NO_FORCES, "scene_length_m", "scene_width_m", "scene_area_m2", "steps",

@@ -12,6 +12,7 @@ from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
+from derail_ros.vocabulary.train import train_totals
 
 if TYPE_CHECKING:
     from derail_ros.engine.simulation import PlanarSimulation
@@ -65,5 +66,5 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
         rear_part_coordinate=math.nan if rear is None else float(state.truck_s[rear, 0]),
         energy=ledger(model, initial, state.energy, state.coupled, state.q, state.v),
         energy_residual=float(clock["max_residual"]),
-        train_cars=sum(car.represents for car in run.params.cars),
+        train=train_totals(run.params.cars),
     )

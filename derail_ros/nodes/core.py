@@ -287,6 +287,8 @@ class SimulatorCore:
         self.pace.tick_length = session.tick_length
         session.begin()
         self._logger.info(f"run {self.run_id} of {prepared.name} begins")
+        for warning in prepared.warnings:
+            self._logger.warning(f"{prepared.name}: {warning}")
 
     def _publish_transforms(self, data: bytes) -> None:
         self._output.publish(TRANSFORMS.name, data)

@@ -75,7 +75,7 @@ def derive_outcome(run: RecordedRun, told: Outcome | None = None) -> Outcome:
         max_truck_offset=math.nan if told is None else told.max_truck_offset,
         energy=energy,
         energy_residual=residual,
-        train_cars=int(run.cars.represents.sum()),
+        train=run.cars.totals,
     )
 
 

@@ -200,7 +200,7 @@ class _Reader:
                     "the end of the run is not in it: it stands as at"
                     f" {outcome.time:.2f} s, the last moment recorded"
                 )
-        outcome = replace(outcome, train_cars=int(cars.represents.sum()))
+        outcome = replace(outcome, train=cars.totals)
         return replace(run, outcome=outcome, warnings=tuple(bag.warnings))
 
     def _coupled(

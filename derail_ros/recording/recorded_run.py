@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from derail_ros.vocabulary.events import Collision, Event
 from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -33,6 +34,7 @@ class Cars:
     coupler_kind : (N,) front and rear type, for example ("E60", "F79")
     angle_limit : (N-1,) relative angle at which a coupling parts, rad
     represents : (N,) cars that a body stands for
+    totals : of the train; without loads, empties and locomotives in older recordings
     """
 
     name: tuple[str, ...]
@@ -47,10 +49,21 @@ class Cars:
     coupler_kind: tuple[tuple[str, str], ...]
     angle_limit: F64
     represents: Int
+    totals: TrainTotals = TrainTotals()
 
     @classmethod
     def of_message(cls, m: Any) -> Cars:
         """From ``derail_msgs/Consist``."""
+        pivot = np.array(m.pivot_distance)
+        coupler = np.stack([m.coupler_length_front, m.coupler_length_rear], axis=-1)
+        told = {q.key: np.array(q.values) for q in m.more}
+        length = told.get("length_over_couplers_m", 2.0 * pivot + coupler.sum(axis=-1))
+        totals = TrainTotals(
+            int(np.sum(m.represents_cars)),
+            *(int(told[key].sum()) if key in told else 0 for key in TRAIN_COUNTS),
+            length=math.fsum(length),
+            mass=math.fsum(m.mass),
+        )
         return cls(
             name=tuple(m.car_name),
             kind=tuple(m.car_type),
@@ -58,12 +71,13 @@ class Cars:
             mass=np.array(m.mass),
             length=np.array(m.length),
             width=np.array(m.width),
-            pivot=np.array(m.pivot_distance),
+            pivot=pivot,
             truck=np.array(m.truck_distance),
-            coupler=np.stack([m.coupler_length_front, m.coupler_length_rear], axis=-1),
+            coupler=coupler,
             coupler_kind=tuple(zip(m.coupler_type_front, m.coupler_type_rear)),
             angle_limit=np.array(m.coupling_angle_limit),
             represents=np.array(m.represents_cars, dtype=np.int64),
+            totals=totals,
         )
 
     def __len__(self) -> int:

@@ -52,6 +52,7 @@ class Prepared:
     yaml, resolved : the scenario with all defaults filled in, as text and as plain data
     files : what the scenario was read from: name -> content
     simulation : at its start, never advanced: runs are copies of it
+    warnings : what of it is hardly meant
     car_types : type of rolling stock of each car, "" where it was given by its numbers
     marker_pieces : serialised markers, kept from run to run
     """
@@ -63,9 +64,8 @@ class Prepared:
         self.resolved = scenario.resolved()
         self.files = scenario.files
         self.simulation = simulation
-        blocks = scenario.model.train.consist
-        types = [block.car or "" for block in blocks for _ in range(block.count)]
-        self.car_types = tuple(types[: simulation.n_cars])
+        self.warnings = scenario.warnings
+        self.car_types = scenario.car_types[: simulation.n_cars]
         self.marker_pieces: dict[Any, Any] = {}
 
     def warm(self, frame_id: str) -> None:

@@ -45,6 +45,7 @@ from derail_ros.vocabulary.params import (
     TrackSegment,
     TrainParams,
 )
+from derail_ros.vocabulary.train import TRAIN_COUNTS, length_over_couplers
 
 KMH = 1.0 / 3.6
 """1 km/h in m/s."""
@@ -59,6 +60,24 @@ long as the F73, m [R]: in the consist of the source these lie deeper within the
 
 LONG_COUPLER = 1.3
 """Coupler length that tells the two apart, m."""
+
+LEAST_LOAD = 0.1
+"""Share of its load from which a car counts as loaded."""
+
+JOINT = "ARTICULATED"
+"""Coupler type between the platforms of an articulated car."""
+
+PLATFORM_FIELDS = (
+    "car",
+    "count",
+    "name",
+    "contents",
+    "load",
+    "front_coupler",
+    "rear_coupler",
+    "brake",
+)
+"""What may be given of an articulated car as a whole."""
 
 DEFAULT_WIDTH = 2.6
 """Width of the body in collisions, m: 0.4 m less than real, which is part of the buffer."""
@@ -80,6 +99,9 @@ class Block:
     front, rear : names of the coupler types
     coupler_inertia : kg m^2
     shoe, scale, delay : brake
+    empty, loaded : mass empty and loaded, kg; None if not known
+    load : share of the load, 0 to 1; None if not known
+    locomotive : it is one
     """
 
     count: int
@@ -97,15 +119,31 @@ class Block:
     shoe: str
     scale: float
     delay: float
+    empty: float | None = None
+    loaded: float | None = None
+    load: float | None = None
+    locomotive: bool = False
+
+    def coupled_length(self, couplers: dict[str, CouplerType]) -> float:
+        """From pulling face to pulling face, m."""
+        return couplers[self.front].length + self.pivots + couplers[self.rear].length
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """A scenario whose types are looked up and whose fields have been judged together."""
+    """A scenario whose types are looked up and whose fields have been judged together.
+
+    ``entries`` are the blocks of each entry of the consist: one, or those of an articulated car.
+    """
 
     model: ScenarioModel
-    blocks: tuple[Block, ...]
+    entries: tuple[tuple[Block, ...], ...]
     couplers: dict[str, CouplerType]
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """All blocks, from the first one back."""
+        return tuple(block for entry in self.entries for block in entry)
 
     @property
     def n_cars(self) -> int:
@@ -148,13 +186,13 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     for name, kind in model.train.car_types.items():
         check_car_type(kind, ("train", "car_types", name))
     couplers = _couplers(model, stock)
-    blocks = tuple(
-        _block(block, ("train", "consist", i), model, stock, couplers)
+    entries = tuple(
+        _entry(block, ("train", "consist", i), model, stock, couplers)
         for i, block in enumerate(model.train.consist)
     )
-    used = {name for block in blocks for name in (block.front, block.rear)}
+    used = {name for entry in entries for block in entry for name in (block.front, block.rear)}
     kept = {name: couplers[name] for name in sorted(used)}
-    resolved = Resolved(model, blocks, kept)
+    resolved = Resolved(model, entries, kept)
     _check_counts(resolved)
     _check_numbers(resolved)
     _check_brakes(model)
@@ -216,13 +254,14 @@ def _first(*values: Any) -> Any:
     return next((value for value in values if value is not None), None)
 
 
-def _block(
+def _entry(
     block: ConsistBlock,
     path: Path,
     model: ScenarioModel,
     stock: RollingStock,
     couplers: dict[str, CouplerType],
-) -> Block:
+) -> tuple[Block, ...]:
+    """The blocks of an entry of the consist; an articulated car has one for each platform."""
     known = {**stock.cars, **model.train.car_types}
     kind: CarType | None = None
     if block.car is not None:
@@ -230,6 +269,35 @@ def _block(
         if kind is None:
             reason = f"unknown car type {block.car!r}{did_you_mean(block.car, known)}"
             raise Refusal((*path, "car"), reason)
+    if kind is None or not kind.platforms:
+        return (_block(block, kind, path, model, couplers),)
+    for key in type(block).model_fields:
+        if key not in PLATFORM_FIELDS and getattr(block, key) != ConsistBlock().__dict__[key]:
+            reason = f"{block.car!r} has platforms: give it by their types, {kind.platforms[0]!r}"
+            raise Refusal((*path, key), reason)
+    last = len(kind.platforms) - 1
+    parts = []
+    for i, name in enumerate(kind.platforms):
+        part = known.get(name)
+        if part is None or part.platforms:
+            raise Refusal((*path, "car"), f"platform {name!r} of {block.car!r} is no car type")
+        ends = {
+            "front_coupler": JOINT if i else block.front_coupler,
+            "rear_coupler": JOINT if i < last else block.rear_coupler,
+        }
+        label = f"{block.name or kind.title or block.car}, platform {i + 1}"
+        one = block.model_copy(update={"car": name, "count": 1, "name": label[:60], **ends})
+        parts.append(_block(one, part, path, model, couplers))
+    return tuple(parts) * block.count
+
+
+def _block(
+    block: ConsistBlock,
+    kind: CarType | None,
+    path: Path,
+    model: ScenarioModel,
+    couplers: dict[str, CouplerType],
+) -> Block:
 
     def value(key: str, needed: bool = False) -> Any:
         found = _first(getattr(block, key), getattr(kind, key, None))
@@ -247,14 +315,12 @@ def _block(
             raise Refusal(place, f"unknown coupler type {name!r}{did_you_mean(name, couplers)}")
         return str(name)
 
-    length = value("length_m", needed=True)
-    trucks = value("truck_centres_m", needed=True)
+    trucks = value("truck_centres_m")
     front, rear = coupler("front_coupler"), coupler("rear_coupler")
-    mass = _mass(block, kind, path)
-    pivots = value("coupler_pivots_m")
-    if pivots is None:
-        long = max(couplers[front].length, couplers[rear].length) > LONG_COUPLER
-        pivots = length - (LONG_PIVOT_INSET if long else SHORT_PIVOT_INSET)
+    length, pivots = _lengths(block, kind, path, couplers[front], couplers[rear])
+    trucks = value("truck_centres_m", needed=True)
+    empty, loaded = value("empty_mass_kg"), value("loaded_mass_kg")
+    mass, load = _mass(block, kind, empty, loaded, path)
     brake: BrakeSpec = _overlay(kind.brake if kind else BrakeSpec(), block.brake)
     result = Block(
         count=block.count,
@@ -272,26 +338,89 @@ def _block(
         shoe=_first(brake.shoe, engine_default(BrakeUnit, "shoe")),
         scale=_first(brake.scale, 1.0),
         delay=_first(brake.delay_s, engine_default(BrakeUnit, "delay")),
+        empty=empty,
+        loaded=loaded,
+        load=load,
+        locomotive=bool(value("locomotive")),
     )
     _check_block(result, path, couplers)
     return result
 
 
-def _mass(block: ConsistBlock, kind: CarType | None, path: Path) -> float:
-    """Mass of one car, kg: given, of its type, or between empty and loaded."""
+def _lengths(
+    block: ConsistBlock,
+    kind: CarType | None,
+    path: Path,
+    front: CouplerType,
+    rear: CouplerType,
+) -> tuple[float, float]:
+    """Length of the body and distance between the coupler pivots, m.
+
+    The pivots follow from the length over couplers, which is the pitch of the cars in the train;
+    where only one of body and pivots is given, the body overhangs the pivots as in the type.
+    """
+    faces = front.length + rear.length
+    inset = (
+        LONG_PIVOT_INSET if max(front.length, rear.length) > LONG_COUPLER else SHORT_PIVOT_INSET
+    )
+    body: float | None = None
+    pivots: float | None = None
+    if kind is not None:  # of the type as it is
+        body, pivots = kind.length_m, kind.coupler_pivots_m
+        if kind.length_over_couplers_m is not None:
+            pivots = kind.length_over_couplers_m - faces
+        if body is not None and pivots is not None:
+            inset = body - pivots
+        elif pivots is not None:
+            body = pivots + inset
+    if block.length_over_couplers_m is not None:
+        if block.coupler_pivots_m is not None:
+            reason = "coupler_pivots_m is given too: one of the two decides"
+            raise Refusal((*path, "length_over_couplers_m"), reason)
+        pivots = block.length_over_couplers_m - faces
+        return _first(block.length_m, pivots + inset), pivots
+    if block.length_m is not None:
+        moved = kind is not None and kind.length_over_couplers_m is not None
+        pivots, body = (None if moved else pivots), block.length_m
+    if body is None:
+        raise Refusal((*path, "length_m"), "is required where no car type gives it")
+    return body, _first(block.coupler_pivots_m, pivots, body - inset)
+
+
+def _mass(
+    block: ConsistBlock,
+    kind: CarType | None,
+    empty: float | None,
+    loaded: float | None,
+    path: Path,
+) -> tuple[float, float | None]:
+    """Mass of one car, kg: given, of its type, or between empty and loaded; and its load."""
+    if empty is not None and loaded is not None and empty > loaded:
+        reason = f"must not be above loaded_mass_kg, {shown(loaded)} kg, got {shown(empty)} kg"
+        raise Refusal((*path, "empty_mass_kg"), reason)
     if block.mass_kg is not None:
         if block.load is not None:
             raise Refusal((*path, "load"), "mass_kg is given too: one of the two decides")
-        return block.mass_kg
-    if kind is None:
-        raise Refusal((*path, "mass_kg"), "is required where no car type gives it")
-    if kind.empty_mass_kg is not None and kind.loaded_mass_kg is not None:
-        load = _first(block.load, 1.0)
-        return float(kind.empty_mass_kg + load * (kind.loaded_mass_kg - kind.empty_mass_kg))
-    if block.load is not None:
-        raise Refusal((*path, "load"), f"car type {block.car!r} has no empty and loaded mass")
-    assert kind.mass_kg is not None  # check_car_type has seen to it
-    return kind.mass_kg
+        if empty is None or loaded is None or empty == loaded:
+            return block.mass_kg, None
+        return block.mass_kg, min(max((block.mass_kg - empty) / (loaded - empty), 0.0), 1.0)
+    if empty is None and loaded is None:
+        if kind is None:
+            raise Refusal((*path, "mass_kg"), "is required where no car type gives it")
+        if block.load is not None:
+            raise Refusal((*path, "load"), f"car type {block.car!r} has no empty and loaded mass")
+        assert kind.mass_kg is not None  # check_car_type has seen to it
+        return kind.mass_kg, None
+    load = float(_first(block.load, 1.0))
+    for share, key, mass in (
+        (load, "loaded_mass_kg", loaded),
+        (1.0 - load, "empty_mass_kg", empty),
+    ):
+        if share > 0.0 and mass is None:
+            raise Refusal((*path, key), f"is required with load {shown(load)}")
+    if empty is None or loaded is None:
+        return float(_first(empty, loaded)), load
+    return float(empty + load * (loaded - empty)), load
 
 
 def _inertia(block: ConsistBlock, kind: CarType | None, mass: float, length: float) -> float:
@@ -342,8 +471,8 @@ def _over(distance: float, length: float) -> str:
 
 def _check_counts(resolved: Resolved) -> None:
     total = 0
-    for i, block in enumerate(resolved.blocks):
-        total += block.count
+    for i, entry in enumerate(resolved.entries):
+        total += sum(block.count for block in entry)
         if total > MAX_CARS:
             reason = f"the train has {resolved.n_cars} cars, the limit is {MAX_CARS}"
             raise Refusal(("train", "consist", i, "count"), reason)
@@ -438,7 +567,7 @@ def _check_track(resolved: Resolved) -> None:
             raise Refusal((*path, "spiral", "radius_end_m"), reason)
     begin = track.start_coordinate_m
     end = begin + sum(segment.length for segment in _segments(track.alignment))
-    train = _bodies(resolved)
+    train = placed_bodies(resolved)
     centre = resolved.model.initiation.position_m
     front = centre + 0.5 * train[0][1].trucks
     rear = centre - train[-1][0] - 0.5 * train[-1][1].trucks
@@ -463,11 +592,11 @@ def _check_derails(resolved: Resolved) -> None:
         return
     if any(piece.tangent is None for piece in model.track.alignment):
         return  # a curve may overturn the rail without further help
-    bodies = _bodies(resolved)
+    bodies = placed_bodies(resolved)
     if model.train.virtual_from is not None:
         bodies = bodies[:-1]
     last_truck = start.position_m - bodies[-1][0] - 0.5 * bodies[-1][1].trucks
-    if any(place >= last_truck for place in _rail_breaks(resolved)):
+    if any(place >= last_truck for place in rail_breaks(resolved)):
         return
     for force in _lateral_forces(model):
         weight = bodies[force.car - 1][1].mass * GRAVITY
@@ -482,7 +611,7 @@ def _check_derails(resolved: Resolved) -> None:
     raise Refusal(("initiation",), reason)
 
 
-def _bodies(resolved: Resolved) -> list[tuple[float, Block]]:
+def placed_bodies(resolved: Resolved) -> list[tuple[float, Block]]:
     """Distance behind the centre of car 1 (m) and block of each body."""
     cars = list(_distances(resolved))
     start = resolved.model.train.virtual_from
@@ -532,7 +661,7 @@ def _curvature(radius: float | None, turn: str) -> float:
     return 1.0 / radius if turn == "left" else -1.0 / radius
 
 
-def _rail_breaks(resolved: Resolved) -> tuple[float, ...]:
+def rail_breaks(resolved: Resolved) -> tuple[float, ...]:
     """Track coordinates of all breaks, m, rising."""
     model = resolved.model
     breaks = list(model.track.rail_breaks)
@@ -587,7 +716,7 @@ def train_params(resolved: Resolved) -> TrainParams:
         ),
         track=TrackParams(
             segments=tuple(_segments(model.track.alignment)),
-            rail_breaks=_rail_breaks(resolved),
+            rail_breaks=rail_breaks(resolved),
             **to_engine(model.track, TrackParams),
         ),
         brakes=BrakeParams(
@@ -636,6 +765,7 @@ def _cars(resolved: Resolved) -> tuple[Car, ...]:
     scale = resolved.model.brakes.force_scale
     cars = []
     for distance, block in _distances(resolved):
+        counts = block.load is not None and not block.locomotive
         unit = BrakeUnit(distance, block.shoe, block.scale * scale, block.delay, block.mass)
         cars.append(
             Car(
@@ -651,6 +781,9 @@ def _cars(resolved: Resolved) -> tuple[Car, ...]:
                 brakes=(unit,),
                 name=block.name,
                 contents=block.contents,
+                locomotives=int(block.locomotive),
+                loads=int(counts and block.load >= LEAST_LOAD),  # type: ignore[operator]
+                empties=int(counts and block.load < LEAST_LOAD),  # type: ignore[operator]
             )
         )
     start = resolved.model.train.virtual_from
@@ -675,4 +808,6 @@ def _virtual_body(cars: list[Car]) -> Car:
         brakes=tuple(unit for car in cars for unit in car.brakes),
         represents=len(cars),
         name=f"{len(cars)} virtual cars",
+        **{key: sum(getattr(car, key) for car in cars) for key in TRAIN_COUNTS},
+        coupled_length=math.fsum(length_over_couplers(car) for car in cars),
     )

@@ -14,6 +14,7 @@ from derail_ros.scenario.messages import first_mistake
 from derail_ros.scenario.schema import CarType, CarTypeFile, CouplerSpec, CouplerTypeFile
 from derail_ros.scenario.strict_yaml import Path as Place
 from derail_ros.scenario.strict_yaml import parse
+from derail_ros.scenario.units import canonical
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,17 @@ def load_rolling_stock(folder: Path | None = None) -> RollingStock:
 
 
 def check_car_type(kind: CarType, path: Place) -> None:
-    """Refuse a car type whose masses contradict each other or are missing."""
+    """Refuse a car type whose numbers contradict each other or are missing."""
+    if kind.platforms:
+        return
+    if kind.length_m is None and kind.length_over_couplers_m is None:
+        raise Refusal((*path, "length_m"), "is required, or length_over_couplers_m")
+    for key in ("truck_centres_m", "coupler"):
+        if getattr(kind, key) is None:
+            raise Refusal((*path, key), "is required")
+    if kind.coupler_pivots_m is not None and kind.length_over_couplers_m is not None:
+        reason = "length_over_couplers_m is given too: one of the two decides"
+        raise Refusal((*path, "coupler_pivots_m"), reason)
     span = [kind.empty_mass_kg, kind.loaded_mass_kg]
     if kind.mass_kg is not None:
         if span != [None, None]:
@@ -60,7 +71,10 @@ def _load(files: tuple[tuple[str, int], ...]) -> RollingStock:
         document = parse(read_text(Path(name)), name)
         model = CouplerTypeFile if "coupler_types" in document.data else CarTypeFile
         try:
+            document.data = canonical(document.data, model, (), document.written)
             content = model.model_validate(document.data)
+        except Refusal as refusal:
+            raise document.error(refusal.path, refusal.reason) from None
         except ValidationError as error:
             mistake = first_mistake(error, model)
             raise document.error(mistake.path, mistake.reason) from None

@@ -16,13 +16,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
 from derail_ros.scenario import files
 from derail_ros.scenario.errors import Refusal, ScenarioError
-from derail_ros.scenario.messages import did_you_mean, first_mistake, shown
+from derail_ros.scenario.messages import did_you_mean, first_mistake, model_at, shown
+from derail_ros.scenario.plausibility import doubts
 from derail_ros.scenario.resolve import (
     DEFAULT_WIDTH,
     Block,
@@ -43,8 +44,11 @@ from derail_ros.scenario.strict_yaml import (
     parse,
     parse_value,
 )
+from derail_ros.scenario.units import canonical, field_of
 from derail_ros.vocabulary.params import PLANAR, TrainParams
+from derail_ros.vocabulary.train import TrainTotals, train_totals
 
+V = TypeVar("V")
 Dirs = Iterable["str | os.PathLike[str]"] | None
 
 MAX_EXTENDS = 8
@@ -103,6 +107,23 @@ class Scenario:
     def files(self) -> dict[str, bytes]:
         """The files that it was read from, by name: its own as written, then those it extends."""
         return self._document.files
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was read without an error and is hardly meant, in a sentence each."""
+        return (*self._document.notes, *doubts(self._resolved))
+
+    @property
+    def totals(self) -> TrainTotals:
+        """Totals of the train: cars, loads, length, mass."""
+        return train_totals(self.to_params().cars)
+
+    @property
+    def car_types(self) -> tuple[str, ...]:
+        """Type of rolling stock of each car; "" where it was given by its numbers."""
+        blocks = self.model.train.consist
+        bodies = (sum(b.count for b in entry) for entry in self._resolved.entries)
+        return tuple(b.car or "" for b, n in zip(blocks, bodies) for _ in range(n))
 
     @property
     def n_cars(self) -> int:
@@ -166,7 +187,10 @@ class Scenario:
         changed = self._with(overrides, marks)
         if "title" in overrides:
             return changed
-        origin, paths = self._origin or self, self._changes | set(overrides)
+        origin, paths = (
+            self._origin or self,
+            self._changes | {_field_path(p, marks[p]) for p in overrides},
+        )
         title = _title_with(origin, changed, sorted(paths))
         model = changed.model.model_copy(update={"title": title})
         changed._document.data["title"] = title
@@ -176,19 +200,32 @@ class Scenario:
     def _with(self, overrides: Mapping[str, Any], marks: Mapping[str, Mark]) -> Scenario:
         old = self._document
         document = Document(copy.deepcopy(old.data), old.file, dict(old.marks), old.files)
-        steps = {text: _split(text, marks[text]) for text in overrides}
+        document.notes = list(old.notes)
+        values: dict[str, Any] = {}
+        steps: dict[str, Path] = {}
+        given: dict[Path, str] = {}
+        for text in overrides:
+            plain = _plain(overrides[text], text, marks[text])
+            path, values[text] = _canonical_step(
+                _split(text, marks[text]), plain, text, marks, given
+            )
+            if path in steps.values():
+                raise _bad_path(path, marks[text], "is given twice, in two units")
+            steps[text] = path
         overridden = set(steps.values())
+        document.written = {**_without(old.written, overridden), **given}
         for text, path in steps.items():
             if any(path[:n] in overridden for n in range(1, len(path))):
                 reason = "overlaps with another override"
                 raise _bad_path(path, marks[text], reason)
-            _put(document.data, path, _plain(overrides[text], text, marks[text]), marks[text])
+            _put(document.data, path, values[text], marks[text])
         _settle_masses(document, overridden)
         document.marks = _without(document.marks, overridden)
         document.marks.update({path: marks[text] for text, path in steps.items()})
-        before = self._resolved.blocks
+        document.marks.update({_split(text, mark): mark for text, mark in marks.items()})
+        before = self._resolved.entries
         changed = _build(self.name, document, self._stock)
-        if _scale_inertia(document, overridden, before, changed._resolved.blocks):
+        if _scale_inertia(document, overridden, before, changed._resolved.entries):
             changed = _build(self.name, document, self._stock)
         return changed
 
@@ -212,12 +249,24 @@ def load_scenario(name_or_path: str | os.PathLike[str], dirs: Dirs = None) -> Sc
         With the first mistake.
     """
     text = os.fspath(name_or_path)
+    if FilePath(text).suffix.lower() not in files.SUFFIXES and FilePath(text).is_file():
+        raise ScenarioError(text, None, "", _not_a_scenario(FilePath(text)))
     if not files.is_path(text):
         return load_scenario_by_name(text, dirs)
     path = FilePath(text)
     # what it extends may lie beside it
     folders = (path.parent, *files.search_dirs(dirs))
     return _load(files.read_text(path), str(path), path.stem, folders, (path.resolve(),))
+
+
+def _not_a_scenario(path: FilePath) -> str:
+    if path.suffix.lower() in (".csv", ".tsv", ".txt"):
+        made = path.with_suffix(".yaml").name
+        return (
+            f"is no scenario: if it is a consist list, `derail consist {path} -o {made}` makes "
+            f"one of it, then `derail simulate {made}`"
+        )
+    return "is no scenario: those are YAML files, their names end in .yaml"
 
 
 def load_scenario_by_name(name: str, dirs: Dirs = None) -> Scenario:
@@ -287,12 +336,34 @@ def _load(
     document.files = {f"{name}.yaml": text.encode()}
     _check_version(document)
     overrides, marks = _take_overrides(document)
+    try:
+        document.data = canonical(document.data, ScenarioModel, (), document.written)
+    except Refusal as refusal:
+        raise document.error(refusal.path, refusal.reason) from None
     if "extends" in document.data:
         base = _base(document, folders, seen)
         _merge_below(document, base)
         document.files = {**document.files, **base.files}
     scenario = _build(name, document, load_rolling_stock())
+    if seen:
+        _add_inputs(scenario, seen[-1].parent)
     return scenario._with(overrides, marks) if overrides else scenario
+
+
+def _add_inputs(scenario: Scenario, folder: FilePath) -> None:
+    """Add the files that a scenario was made from, if they lie beside it as they were."""
+    document = scenario._document
+    for wanted in scenario.model.inputs:
+        path = folder / wanted.file
+        try:
+            content = path.read_bytes()
+        except OSError:
+            document.notes.append(f"{path}: not found: recordings will not hold it")
+            continue
+        if hashlib.sha256(content).hexdigest() != wanted.sha256:
+            document.notes.append(f"{path}: has changed since {scenario.name} was made from it")
+            continue
+        document.files = {**document.files, wanted.file: content}
 
 
 def _check_version(document: Document) -> None:
@@ -363,10 +434,11 @@ def _merge_below(document: Document, base: Document) -> None:
     replaced: set[Path] = {("title",), ("description",)}
     document.data = merge(inherited, document.data, ())
     document.marks = _without(base.marks, replaced) | document.marks
+    document.written = _without(base.written, replaced) | document.written
 
 
-def _without(marks: dict[Path, Mark], replaced: set[Path]) -> dict[Path, Mark]:
-    """Marks but for those at or below the replaced paths."""
+def _without(marks: dict[Path, V], replaced: set[Path]) -> dict[Path, V]:
+    """Notes by path but for those at or below the replaced paths."""
     return {
         path: mark
         for path, mark in marks.items()
@@ -391,6 +463,34 @@ def _build(name: str, document: Document, stock: RollingStock) -> Scenario:
 # --- overrides --------------------------------------------------------------------------------
 
 _FIXED = ("version", "extends", "overrides")
+
+
+def _field_path(text: str, mark: Mark) -> str:
+    """The dotted path of the field that an override sets, whatever its unit."""
+    path = _split(text, mark)
+    owner = model_at(ScenarioModel, path[:-1]) if len(path) > 1 else ScenarioModel
+    if owner is None or path[-1] in owner.model_fields:
+        return text
+    found = field_of(str(path[-1]), owner)
+    return text if found is None else dotted((*path[:-1], found[0]))
+
+
+def _canonical_step(
+    path: Path, value: Any, text: str, marks: Mapping[str, Mark], written: dict[Path, str]
+) -> tuple[Path, Any]:
+    """An override's path and value in the units of the fields."""
+    owner = model_at(ScenarioModel, path[:-1]) if len(path) > 1 else ScenarioModel
+    if owner is None:
+        return path, value
+    try:
+        if isinstance(path[-1], int):
+            return path, canonical(value, owner, path, written)
+        ((name, plain),) = canonical({path[-1]: value}, owner, path[:-1], written).items()
+    except Refusal as refusal:
+        raise _bad_path(refusal.path, marks[text], refusal.reason) from None
+    return (*path[:-1], name), plain
+
+
 _INDEX = re.compile(r"(0|[1-9][0-9]{0,5})\Z")
 
 
@@ -498,8 +598,8 @@ def _settle_masses(document: Document, overridden: set[Path]) -> None:
 def _scale_inertia(
     document: Document,
     overridden: set[Path],
-    before: tuple[Block, ...],
-    after: tuple[Block, ...],
+    before: tuple[tuple[Block, ...], ...],
+    after: tuple[tuple[Block, ...], ...],
 ) -> bool:
     """Scale inertias that were given for the mass before an override; whether any was."""
     scaled = False
@@ -508,8 +608,9 @@ def _scale_inertia(
         if not touched & {("mass_kg",), ("load",)} or touched & {("inertia_kg_m2",), ("car",), ()}:
             continue
         entry = document.data["train"]["consist"][i]
-        if entry.get("inertia_kg_m2") is not None and before[i].mass != after[i].mass:
-            entry["inertia_kg_m2"] = before[i].inertia * (after[i].mass / before[i].mass)
+        if entry.get("inertia_kg_m2") is not None and before[i][0].mass != after[i][0].mass:
+            old, new = before[i][0], after[i][0]
+            entry["inertia_kg_m2"] = old.inertia * (new.mass / old.mass)
             scaled = True
     return scaled
 
@@ -521,6 +622,8 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
     data: dict[str, Any] = resolved.model.model_dump(mode="json")
     if data["model"] == PLANAR:  # came later: the hashes of older scenarios stay what they were
         del data["model"]
+    if not data["inputs"]:
+        del data["inputs"]
     data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
     data["train"]["car_types"] = {}
     couplers = data["couplers"]
@@ -548,6 +651,15 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
     return data
 
 
+def _masses(block: Block) -> dict[str, Any]:
+    """What says the mass of a car and how it is loaded, so that reading it gives both again."""
+    spans = {"empty_mass_kg": block.empty, "loaded_mass_kg": block.loaded}
+    known = {key: mass for key, mass in spans.items() if mass is not None}
+    if len(known) == 1 and block.load is not None:
+        return {"load": block.load, **known}
+    return {"mass_kg": block.mass, **known}
+
+
 def _block_data(block: Block) -> dict[str, Any]:
     same = block.front == block.rear
     ends = {"front_coupler": block.front, "rear_coupler": block.rear}
@@ -555,7 +667,7 @@ def _block_data(block: Block) -> dict[str, Any]:
         "count": block.count,
         "name": block.name,
         "contents": block.contents,
-        "mass_kg": block.mass,
+        **_masses(block),
         "inertia_kg_m2": block.inertia,
         "length_m": block.length,
         "width_m": block.width,
@@ -564,6 +676,7 @@ def _block_data(block: Block) -> dict[str, Any]:
         **({"coupler": block.front} if same else ends),
         "coupler_inertia_kg_m2": block.coupler_inertia,
         "brake": {"shoe": block.shoe, "scale": block.scale, "delay_s": block.delay},
+        **({"locomotive": True} if block.locomotive else {}),
     }
 
 

@@ -59,6 +59,8 @@ Label = Annotated[str, StringConstraints(strict=True, max_length=60)]
 TypeName = Annotated[
     str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,59}$")
 ]
+FileName = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/\\\x00-\x1f]{1,200}$")]
+Sha256 = Annotated[str, StringConstraints(strict=True, pattern=r"^[0-9a-f]{64}$")]
 Shoe = Literal["composition", "cast_iron", "none"]
 Turn = Literal["left", "right"]
 
@@ -160,6 +162,12 @@ class BrakeSpec(Section):
     )
 
 
+CurvePoint = tuple[
+    Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=500)],
+    Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=5000)],
+]
+
+
 class CarType(Section):
     """A car or locomotive of the library, or of ``train.car_types``."""
 
@@ -177,19 +185,50 @@ class CarType(Section):
         gt=0,
         le=1e10,
     )
-    length_m: Number = _field(..., "m", "length of the body", gt=0, le=100)
+    length_m: Number | None = _field(
+        None,
+        "m",
+        "length of the body; required unless length_over_couplers_m is given",
+        gt=0,
+        le=100,
+    )
+    length_over_couplers_m: Number | None = _field(
+        None, "m", "from pulling face to pulling face", gt=0, le=200
+    )
     width_m: Number = _field(2.6, "m", "width of the body in collisions", gt=0, le=10)
     coupler_pivots_m: Number | None = _field(
         None, "m", "between the coupler pivots; from length and coupler unless given", gt=0, le=100
     )
-    truck_centres_m: Number = _field(..., "m", "between the truck pivots", gt=0, le=100)
-    coupler: TypeName = _field(..., "", "coupler type at both ends")
+    truck_centres_m: Number | None = _field(
+        None, "m", "between the truck pivots; required unless platforms are given", gt=0, le=100
+    )
+    coupler: TypeName | None = _field(
+        None, "", "coupler type at both ends; required unless platforms are given"
+    )
+    platforms: tuple[TypeName, ...] = _field(
+        (),
+        "",
+        "an articulated car: the types of its platforms from front to rear, each a body of its "
+        "own, joined by couplers of the type ARTICULATED",
+        max_length=10,
+    )
+    locomotive: Switch = _field(False, "", "it is a locomotive")
+    aar_codes: tuple[Label, ...] = _field(
+        (), "", "beginnings of the AAR car type codes that consist lists give such a car"
+    )
+    aliases: tuple[Label, ...] = _field((), "", "other names of it in consist lists")
     brake: BrakeSpec = _field(BrakeSpec(), "", "its brake")
     overall_width_m: Number | None = _field(
         None, "m", "width over all, for the record: the model uses width_m", gt=0, le=10
     )
     axles: Integer | None = _field(None, "1", "number of axles, for the record", ge=2, le=24)
     power_kW: Number | None = _field(None, "kW", "power, for the record", ge=0, le=20000)
+    tractive_effort: tuple[CurvePoint, ...] = _field(
+        (), "km/h, kN", "largest tractive effort over speed, straight between the points"
+    )
+    dynamic_brake: tuple[CurvePoint, ...] = _field(
+        (), "km/h, kN", "largest effort of the dynamic brake over speed"
+    )
 
 
 class CarTypeFile(Section):
@@ -238,7 +277,21 @@ class ConsistBlock(Section):
         gt=0,
         le=1e10,
     )
+    empty_mass_kg: Number | None = _field(
+        None, "kg", "mass of one car empty, its light weight", gt=0, le=1e6
+    )
+    loaded_mass_kg: Number | None = _field(
+        None, "kg", "mass of one car loaded, its gross weight", gt=0, le=1e6
+    )
     length_m: Number | None = _field(None, "m", "length of the body", gt=0, le=100)
+    length_over_couplers_m: Number | None = _field(
+        None,
+        "m",
+        "from pulling face to pulling face; the coupler pivots follow from it, and the body "
+        "unless length_m is given too",
+        gt=0,
+        le=200,
+    )
     width_m: Number | None = _field(
         None, "m", "width of the body in collisions; 2.6 unless given", gt=0, le=10
     )
@@ -258,6 +311,7 @@ class ConsistBlock(Section):
         None, "kg m2", "inertia of each coupler; couplers.inertia_kg_m2 unless given", gt=0, le=1e7
     )
     brake: BrakeSpec = _field(BrakeSpec(), "", "brake of each of these cars")
+    locomotive: Switch | None = _field(None, "", "whether it is a locomotive; its type says")
 
 
 # --- sections ---------------------------------------------------------------------------------
@@ -649,6 +703,13 @@ class Integration(Section):
     )
 
 
+class InputSpec(Section):
+    """A file that a scenario was made from; it is looked for beside the scenario."""
+
+    file: FileName = _field(..., "", "its name")
+    sha256: Sha256 = _field(..., "", "SHA-256 of its content, hexadecimal")
+
+
 class ScenarioModel(Section):
     """A derailment scenario."""
 
@@ -657,6 +718,9 @@ class ScenarioModel(Section):
     description: Text = _field("", "", "what it is, at length")
     source: Text = _field("", "", "where the numbers come from")
     model: TypeName = _field("planar", "", "model that computes the run, of `derail models`")
+    inputs: tuple[InputSpec, ...] = _field(
+        (), "", "files that this one was made from; they travel with recordings", max_length=20
+    )
     train: Train = _field(..., "", "what runs, and how fast")
     couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")
     track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")

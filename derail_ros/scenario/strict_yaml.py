@@ -56,13 +56,17 @@ class Mark(NamedTuple):
 class Document:
     """Plain data (dicts, lists, scalars) and the place of each of its keys and items.
 
-    ``files`` are the files that it was read from: name -> content, this one first.
+    ``files`` are the files that it was read from: name -> content, this one first. ``written``
+    has the keys that were given in another unit than that of their field: path of the field ->
+    key. ``notes`` are warnings.
     """
 
     data: dict[str, Any]
     file: str
     marks: dict[Path, Mark] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
+    written: dict[Path, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def mark(self, path: Path) -> Mark:
         """Place of the value at ``path``, or of the nearest thing around it."""
@@ -73,6 +77,9 @@ class Document:
 
     def error(self, path: Path, reason: str) -> ScenarioError:
         """The error that names the place of ``path``."""
+        key = self.written.get(path)
+        if key is not None:
+            reason, path = f"{reason} (as {path[-1]})", (*path[:-1], key)
         mark = self.mark(path)
         return ScenarioError(mark.file, mark.line, dotted(path), reason)
 
@@ -246,6 +253,19 @@ def _represent_list(dumper: _Dumper, items: list[Any]) -> yaml.SequenceNode:
 
 _Dumper.add_representer(str, _represent_text)
 _Dumper.add_representer(list, _represent_list)
+
+
+def flow(data: Any) -> str:
+    """YAML text of a value in one line."""
+    text: str = yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=True,
+        width=1e9,
+    )
+    return text.removesuffix("...\n").strip()
 
 
 def dump(data: dict[str, Any]) -> str:

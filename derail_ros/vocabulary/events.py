@@ -10,13 +10,10 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
+from derail_ros.vocabulary.params import LATER
 from derail_ros.vocabulary.status import CORNERS
 from derail_ros.vocabulary.words import coordinate, force, speed
-
-LATER: Mapping[str, Any] = {"left_out_at_default": True}
-"""Metadata of a field that came after the format of saved states."""
 
 
 class EventKind(enum.IntEnum):

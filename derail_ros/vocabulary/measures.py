@@ -165,7 +165,17 @@ MEASURES: dict[str, Measure] = _all(
             _share("ground_trucks", "ground_body"), digits=3, group=DETAIL),
     Measure("share_collisions", "share of the energy taken by collisions",
             _share("collisions"), digits=3, group=DETAIL),
-    Measure("train_cars", "cars in the train", lambda o: o.train_cars, COUNT, group=DETAIL),
+    Measure("train_cars", "cars in the train", lambda o: o.train.cars, COUNT, group=DETAIL),
+    Measure("train_locomotives", "locomotives in the train", lambda o: o.train.locomotives, COUNT,
+            group=DETAIL),
+    Measure("train_loads", "loaded cars in the train", lambda o: o.train.loads, COUNT,
+            group=DETAIL),
+    Measure("train_empties", "empty cars in the train", lambda o: o.train.empties, COUNT,
+            group=DETAIL),
+    Measure("train_length_m", "length of the train over couplers", lambda o: o.train.length,
+            unit="m", group=DETAIL),
+    Measure("train_mass_kg", "mass of the train", lambda o: o.train.mass, unit="kg",
+            shown_unit="t", scale=1e-3, digits=0, group=DETAIL),
     Measure("status", "status", lambda o: o.status, TEXT, group=DETAIL),
     Measure("at_rest", "came to rest", lambda o: o.status == AT_REST, FLAG, group=DETAIL),
     Measure("void", "void", lambda o: o.void, FLAG, group=DETAIL),
@@ -202,10 +212,11 @@ def measure(name: str) -> Measure:
 
 
 def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
-    """An outcome as plain data: every measure, the ledger as ``energy_J``, the wall time."""
+    """An outcome as plain data: every measure, ``train``, the ledger, the wall time."""
     energy = {key: finite(value) for key, value in outcome.energy.items()}
     return {
         **{key: m.value(outcome) for key, m in MEASURES.items()},
+        "train": outcome.train.record,
         "energy_J": energy,
         "wall_s": finite(wall_s, 6),
     }
@@ -238,7 +249,7 @@ def record_numbers(record: Mapping[str, Any]) -> dict[str, float]:
     for key, value in record.items():
         if key in MEASURES:
             number = MEASURES[key].number(value)
-        elif isinstance(value, Mapping):
+        elif key == "energy_J":
             flat |= {f"{key}.{k}": float(v) for k, v in value.items() if v is not None}
             continue
         else:

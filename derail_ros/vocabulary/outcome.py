@@ -16,6 +16,7 @@ from derail_ros.vocabulary.status import (
     STATUSES,
     VOID,
 )
+from derail_ros.vocabulary.train import TrainTotals
 from derail_ros.vocabulary.words import count, force
 
 F64 = NDArray[np.float64]
@@ -47,7 +48,7 @@ class Outcome:
     rear_part_coordinate : track coordinate of its front truck, m (nan without)
     energy : ledger entry (``ledger.ENERGY_ENTRIES``) -> J now
     energy_residual : largest |imbalance| of the ledger over the run / initial energy
-    train_cars : number of real cars of the train
+    train : totals of the train
     values, car_values : further numbers by name, unit in the name; the latter (N,)
     """
 
@@ -76,7 +77,7 @@ class Outcome:
     rear_part_coordinate: float
     energy: Mapping[str, float]
     energy_residual: float
-    train_cars: int = 0
+    train: TrainTotals = TrainTotals()
     values: Mapping[str, float] = field(default_factory=dict)
     car_values: Mapping[str, F64] = field(default_factory=dict)
 
@@ -110,7 +111,7 @@ class Outcome:
             rear_part_coordinate=math.nan,
             energy={},
             energy_residual=math.nan,
-            train_cars=n,
+            train=TrainTotals(cars=n),
         )
 
     def __repr__(self) -> str:

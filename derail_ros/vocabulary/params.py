@@ -6,7 +6,9 @@ Model of a Derailment*, PhD thesis, Queen's University, 1998) lost or never gave
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
@@ -14,6 +16,8 @@ PLANAR = "planar"
 """Name of the default model."""
 METHODS = ("rkf45", "row")
 """Methods of integration: the explicit reference, and the one with implicit friction."""
+LATER: Mapping[str, Any] = {"left_out_at_default": True}
+"""Marks a field that came later than the format of saved states (``vocabulary.plain``)."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,9 @@ class Car:
         it never derails and never collides
     name : label, e.g. the type of the car
     contents : what it carries
+    locomotives, loads, empties : how many of the cars it stands for are that; a car whose load
+        is not known is none of them
+    coupled_length : of a virtual body, the length over couplers of the cars it stands for, m
     """
 
     mass: float
@@ -95,6 +102,10 @@ class Car:
     represents: int = 1
     name: str = ""
     contents: str = ""
+    locomotives: int = field(default=0, metadata=LATER)
+    loads: int = field(default=0, metadata=LATER)
+    empties: int = field(default=0, metadata=LATER)
+    coupled_length: float = field(default=0.0, metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -342,7 +353,5 @@ class TrainParams:
     contact: ContactParams = field(default_factory=ContactParams)
     derailment: DerailmentParams = field(default_factory=DerailmentParams)
     integration: IntegrationParams = field(default_factory=IntegrationParams)
-    variant: VariantParams = field(
-        default_factory=VariantParams, metadata={"left_out_at_default": True}
-    )
-    model: str = field(default=PLANAR, metadata={"left_out_at_default": True})
+    variant: VariantParams = field(default_factory=VariantParams, metadata=LATER)
+    model: str = field(default=PLANAR, metadata=LATER)

@@ -1,0 +1,64 @@
+"""Values that are possible and hardly meant: each is told in a sentence, none is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from derail_ros.scenario.messages import shown
+from derail_ros.scenario.resolve import KMH, Block, Resolved, placed_bodies, rail_breaks
+from derail_ros.vocabulary.words import cars
+
+LIGHTEST, HEAVIEST = 9e3, 250e3
+"""Bounds on the mass of a car, kg: a platform of a spine car empty, and the heaviest six-axle
+locomotives and loaded eight-axle cars, with a margin."""
+SHORTEST, LONGEST = 6.0, 31.0
+"""Bounds on its length over couplers, m: ore cars are 7.3 m long, autoracks 28.9 m."""
+NARROWEST, WIDEST = 1.5, 4.0
+"""Bounds on the width of its body, m."""
+FASTEST = 200.0
+"""Bound on the speed of a freight train, km/h."""
+
+
+def doubts(resolved: Resolved) -> tuple[str, ...]:
+    """What is hardly meant in a scenario."""
+    return (*_cars(resolved), *_run(resolved))
+
+
+def _cars(resolved: Resolved) -> Iterator[str]:
+    number = 1
+    for block in resolved.blocks:
+        name = f" ({block.name})" if block.name else ""
+        for what in _odd(block, block.coupled_length(resolved.couplers)):
+            yield f"{cars(range(number, number + block.count))}{name}: {what}"
+        number += block.count
+
+
+def _odd(block: Block, length: float) -> Iterator[str]:
+    for value, least, most, unit, low, high in (
+        (block.mass, LIGHTEST, HEAVIEST, "kg", "light", "heavy"),
+        (length, SHORTEST, LONGEST, "m over couplers", "short", "long"),
+        (block.width, NARROWEST, WIDEST, "m of width", "narrow", "wide"),
+    ):
+        if value < least:
+            yield f"{shown(value)} {unit}: no car is as {low} as that"
+        elif value > most:
+            yield f"{shown(value)} {unit}: no car is as {high} as that"
+
+
+def _run(resolved: Resolved) -> Iterator[str]:
+    model = resolved.model
+    speed = model.train.speed_kmh
+    if speed > FASTEST:
+        yield f"train.speed_kmh: {shown(speed)} km/h: no freight train is as fast as that"
+    bodies = placed_bodies(resolved)
+    front = model.initiation.position_m + 0.5 * bodies[0][1].trucks
+    rear = model.initiation.position_m - bodies[-1][0] - 0.5 * bodies[-1][1].trucks
+    way = speed * KMH * model.integration.time_limit_s
+    for place in rail_breaks(resolved):
+        if place - front > way:
+            yield (
+                f"rail break at {shown(place)} m: the train does not reach it; at "
+                f"{shown(speed)} km/h it runs {way:.0f} m at most within the time limit"
+            )
+        elif place < rear:
+            yield f"rail break at {shown(place)} m: it lies behind the train"
