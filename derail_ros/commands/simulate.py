@@ -98,7 +98,7 @@ def run(
         None if ensemble is None else seed,
         records,
         notes={},
-        warnings=[*scenario.warnings, *([] if late is None else [late])],
+        warnings=[*loaded.warnings, *([] if late is None else [late])],
     )
     if output is not None:
         if "error" not in records[0]:

@@ -31,11 +31,12 @@ MAX_BYTES = 1024 * 1024
 LENGTH, MASS = "length", "mass"
 HEADINGS: dict[str, tuple[str, ...]] = {
     "position": ("position", "pos", "position in train", "#", "seq", "sequence", "line", "no"),
-    "name": ("name", "car number", "number", "initial", "car initial", "mark", "reporting mark",
-             "reporting marks", "car id", "id", "equipment", "equipment id", "unit"),
+    "name": ("name", "car", "car number", "number", "initial", "car initial", "mark",
+             "reporting mark", "reporting marks", "car id", "id", "equipment", "equipment id",
+             "unit"),
     "type": ("type", "car type", "car type code", "kind", "car kind", "aar", "aar code",
              "aar type", "aar car type", "equipment type", "umler", "model", "description", "spec",
-             "specification", "class", "car"),
+             "specification", "class"),
     "length_over_couplers": ("length", "length over couplers", "coupled length", "over couplers",
                              "length over pulling faces", "over pulling faces", "outside length",
                              "overall length", "car length"),
@@ -269,6 +270,10 @@ class _Reader:
             if other is not column and column.meaning not in ("type", "name"):
                 reason = f"means the same as {other.heading!r}: give one of the two"
                 raise self.error(line, heading, reason)
+        if "type" not in seen:  # a column "Car" names the kind of car where no other one does
+            for i, column in enumerate(self.columns):
+                if column.heading.lower() == "car":
+                    seen["type"] = self.columns[i] = Column(column.index, column.heading, "type")
         if not seen.keys() & {"type", "length_over_couplers", "length"}:
             reason = "no column gives the type or the length of the cars"
             raise self.error(line, "", f"{reason}; headings: {', '.join(cells)[:200]}")

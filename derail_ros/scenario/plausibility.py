@@ -12,7 +12,7 @@ LIGHTEST, HEAVIEST = 9e3, 250e3
 """Bounds on the mass of a car, kg: a platform of a spine car empty, and the heaviest six-axle
 locomotives and loaded eight-axle cars, with a margin."""
 SHORTEST, LONGEST = 6.0, 31.0
-"""Bounds on its length over couplers, m: ore cars are 7.3 m long, autoracks 28.9 m."""
+"""Bounds on its length over couplers, m: short hoppers are 7.3 m long, autoracks 28.9 m."""
 NARROWEST, WIDEST = 1.5, 4.0
 """Bounds on the width of its body, m."""
 FASTEST = 200.0

@@ -16,8 +16,9 @@ from pydantic_core import PydanticUndefined
 
 from derail_ros.scenario.messages import model_at
 from derail_ros.scenario.rolling_stock import load_rolling_stock
-from derail_ros.scenario.scenario import list_scenarios
+from derail_ros.scenario.scenario import list_scenarios, loads_scenario
 from derail_ros.scenario.schema import ScenarioModel, Section
+from derail_ros.scenario.units import UNITS, variants
 
 BEGIN = "<!-- {}: generated, see derail_ros/scenario/reference.py -->"
 END = "<!-- end of {} -->"
@@ -41,8 +42,24 @@ def json_schema() -> dict[str, Any]:
     train = schema["$defs"]["Train"].pop("required")
     schema["required"] = ["version", "title"]
     schema["if"] = {"not": {"required": ["extends"]}}
-    schema["then"] = {"required": ["train"], "properties": {"train": {"required": train}}}
+    schema["then"] = {"required": ["train"], "properties": {"train": {"allOf": _needs(train)}}}
+    for part in (schema, *schema["$defs"].values()):
+        if "required" in part and part is not schema:
+            part["allOf"] = _needs(part.pop("required"))
+        names = part.get("properties", {})
+        others = {
+            other: {"type": "number", "description": f"instead of {name}, in its own unit"}
+            for name in list(names)
+            for other in variants(name)
+            if other not in names
+        }
+        names.update(others)
     return schema
+
+
+def _needs(required: list[str]) -> list[dict[str, Any]]:
+    """What requires each field, in whatever unit."""
+    return [{"anyOf": [{"required": [n]} for n in (name, *variants(name))]} for name in required]
 
 
 def field_tables() -> str:
@@ -69,22 +86,23 @@ def stock_tables() -> str:
     """The rolling stock library as Markdown tables."""
     stock = load_rolling_stock()
     rows = [
-        "| car type | what it is | mass (t) | length (m) | truck centres (m) | coupler |",
+        "| car type | what it is | mass (t) | over couplers (m) | truck centres (m) | coupler |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for name, car in stock.cars.items():
-        if car.mass_kg is not None:
-            mass = f"{car.mass_kg / 1000:.1f}"
-        else:
-            empty, loaded = car.empty_mass_kg or 0.0, car.loaded_mass_kg or 0.0
-            mass = f"{empty / 1000:.1f} to {loaded / 1000:.1f}"
+        scenario = loads_scenario(ONE_CAR.format(name), name)
+        light = scenario.totals.mass / 1000
+        if car.mass_kg is None:
+            light = scenario.with_overrides({"train.consist.0.load": 0}).totals.mass / 1000
+        heavy = scenario.totals.mass / 1000
+        trucks = f"{car.truck_centres_m:.4g}" if car.truck_centres_m else "shared"
         cells = (
             f"`{name}`",
             car.title,
-            mass,
-            f"{car.length_m:g}",
-            f"{car.truck_centres_m:g}",
-            car.coupler,
+            f"{light:.1f}" if light == heavy else f"{light:.1f} to {heavy:.1f}",
+            f"{scenario.totals.length:.2f}",
+            trucks,
+            car.coupler or "",
         )
         rows.append(f"| {' | '.join(cells)} |")
     rows += [
@@ -101,6 +119,14 @@ def stock_tables() -> str:
     return "\n".join(rows)
 
 
+def unit_table() -> str:
+    """The units in which a field may be given, as a Markdown table."""
+    rows = ["| quantity | ends of a key |", "| --- | --- |"]
+    for quantity, units in UNITS.items():
+        rows.append(f"| {quantity} | {', '.join(f'`_{unit}`' for unit in units)} |")
+    return "\n".join(rows)
+
+
 def scenario_table() -> str:
     """The shipped scenarios as a Markdown table."""
     rows = ["| name | what it is |", "| --- | --- |"]
@@ -108,7 +134,15 @@ def scenario_table() -> str:
     return "\n".join(rows)
 
 
+ONE_CAR = """
+version: 1
+title: one car
+train: {{speed_kmh: 1, consist: [{{car: {}}}]}}
+initiation: {{await_command: true}}
+"""
+
 GENERATED = {
+    "units": unit_table,
     "scenarios": scenario_table,
     "fields": field_tables,
     "rolling stock": stock_tables,

@@ -223,10 +223,10 @@ class CarType(Section):
     )
     axles: Integer | None = _field(None, "1", "number of axles, for the record", ge=2, le=24)
     power_kW: Number | None = _field(None, "kW", "power, for the record", ge=0, le=20000)
-    tractive_effort: tuple[CurvePoint, ...] = _field(
+    tractive_effort_kmh_kN: tuple[CurvePoint, ...] = _field(
         (), "km/h, kN", "largest tractive effort over speed, straight between the points"
     )
-    dynamic_brake: tuple[CurvePoint, ...] = _field(
+    dynamic_brake_kmh_kN: tuple[CurvePoint, ...] = _field(
         (), "km/h, kN", "largest effort of the dynamic brake over speed"
     )
 
