@@ -498,7 +498,7 @@ def advance(
                 state.energy[layout.E_KNUCKLE] += coupling_energy(gx, gy, own[S_K])
                 if par.vent != 0.0:
                     at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
-                    apply_brakes(model, state, at, True, True, layout.ARR_CONV, clock.t)
+                    apply_brakes(model, state, at, layout.ARR_CONV, clock.t)
         for i in range(n):
             _note_free(state, linked, other, i)
         collide(model, state, work, own, other)

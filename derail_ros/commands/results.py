@@ -188,6 +188,8 @@ def _one_run(record: Record, groups: Sequence[str]) -> Table:
         return Table(("outcome", ""), [("failed", record["error"])], texts=2)
     rows = [("status", record["status"] + REMARKS.get(record["status"], ""))]
     rows.append(("train", record["train"]["text"]))
+    if record.get("braked") is False:
+        rows.append(("brakes", "never applied"))
     rows += [(m.title, m.shown(record.get(m.key))) for m in MEASURES.values() if m.group in groups]
     ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
     large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]

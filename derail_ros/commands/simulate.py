@@ -91,20 +91,34 @@ def run(
         records += results.members(
             params, done, members, seed, jobs, compute, lambda: bars.update(task, advance=1)
         )
-    late = late_break(params, records[0])
+    told = filter(None, (late_break(params, records[0]), unbraked(params, records[0])))
     report = results.report_of(
         loaded,
         params.model,
         None if ensemble is None else seed,
         records,
         notes={},
-        warnings=[*loaded.warnings, *([] if late is None else [late])],
+        warnings=[*loaded.warnings, *told],
     )
     if output is not None:
         if "error" not in records[0]:
             _draw(output, loaded.title, simulation)
         results.write(output, loaded, settings or [], report, variation=VARIATION, commands=[])
     return results.finish(report, output, as_json, verbose)
+
+
+def unbraked(params: TrainParams, record: Record) -> str | None:
+    """A warning for a train that rolled without a brake to the end."""
+    if record.get("braked") is not False or not any(car.brakes for car in params.cars):
+        return None
+    why = "no emergency was made (brakes.signal_source, brakes.triggers)"
+    if params.brakes.triggers:
+        why = "the signal reached no car with a working brake while the train moved"
+    elif not params.brakes.vent_on_parting:
+        why += " and a parted coupling makes none (brakes.vent_on_parting)"
+    else:
+        why += " and no coupling parted"
+    return f"the train was never braked: {why}; the outcome is that of a train that rolls freely"
 
 
 def late_break(params: TrainParams, record: Record) -> str | None:

@@ -33,6 +33,7 @@ class Model(NamedTuple):
     knuckle: Rows  # (N-1,) KNUCKLE
     unit: Rows  # (M,) UNIT
     unit_start: I64  # (N+1,)
+    remote: F64  # places that a radio orders to vent, m behind car 1
     lateral: Rows  # (F,) PUSH
     track: Rows  # (pieces,) TRACK
     table: F64  # of the integration method

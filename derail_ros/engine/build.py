@@ -15,7 +15,7 @@ from derail_ros.engine.methods import METHODS
 from derail_ros.engine.negotiability import free_swing
 from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ParameterError
-from derail_ros.vocabulary.params import GRAVITY, Car, CouplerType, TrainParams
+from derail_ros.vocabulary.params import BRAKE_SYSTEMS, GRAVITY, Car, CouplerType, TrainParams
 from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES, ENDS
 
 F64 = NDArray[np.float64]
@@ -102,6 +102,9 @@ def _check_car(c: Car, where: str) -> None:
         finite(unit.scale, f"{at}.scale", 0.0)
         finite(unit.delay, f"{at}.delay", 0.0)
         finite(unit.weight, f"{at}.weight", 0.0)
+        finite(unit.hand, f"{at}.hand", 0.0)
+        if unit.force is not None:
+            finite(unit.force, f"{at}.force", 0.0)
 
 
 def validate(params: TrainParams) -> None:
@@ -132,6 +135,12 @@ def validate(params: TrainParams) -> None:
     for name in ("force", "rise_time", "traction_coefficient"):
         finite(getattr(b, name), f"brakes.{name}", 0.0)
     positive(b.signal_speed, "brakes.signal_speed")
+    finite(b.radio_delay, "brakes.radio_delay", 0.0)
+    require(
+        b.system in BRAKE_SYSTEMS, "brakes.system", f"must be one of {', '.join(BRAKE_SYSTEMS)}"
+    )
+    for j, place in enumerate(b.remote):
+        finite(place, f"brakes.remote.{j}", 0.0)
     for j, trigger in enumerate(b.triggers):
         check_trigger(
             trigger.mode, trigger.source, trigger.car, trigger.delay, len(cars),
@@ -238,6 +247,8 @@ def build_model(params: TrainParams, track: Track) -> Model:
         "brake_rise": p.brakes.rise_time,
         "brake_speed": p.brakes.signal_speed,
         "vent": p.brakes.vent_on_parting,
+        "brake_system": BRAKE_SYSTEMS.index(p.brakes.system),
+        "radio_delay": p.brakes.radio_delay,
         "ground_cs": g.c_s,
         "ground_cd": g.c_d,
         "ground_eps": g.eps,
@@ -313,11 +324,12 @@ def build_model(params: TrainParams, track: Track) -> Model:
                 (
                     i,
                     u.distance,
-                    p.brakes.force * u.scale,
+                    p.brakes.force * u.scale if u.force is None else u.force,
                     SHOES[u.shoe],
                     traction * u.weight if u.shoe != "none" else 0.0,
                     u.delay,
                     number + min(j, k.represents - 1),
+                    u.hand,
                 )
             )
         number += k.represents
@@ -349,6 +361,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
         knuckle=knuckle,
         unit=np.array(units, layout.UNIT),
         unit_start=unit_start,
+        remote=np.array(p.brakes.remote, dtype=float),
         lateral=lateral,
         track=track.pieces,
         table=np.array(METHODS[p.integration.method]),

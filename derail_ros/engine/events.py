@@ -107,7 +107,7 @@ def _part_coupling(
     add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
     if model.par[0].vent != 0.0:
         at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
-        apply_brakes(model, state, at, True, True, layout.ARR_CONV, t)
+        apply_brakes(model, state, at, layout.ARR_CONV, t)
         add_event(
             state, work, BRAKES_TRIGGERED, t, i + 1, i + 2, 0, layout.CAUSE_VENT, x, y, math.nan,
             speed, at,

@@ -28,6 +28,7 @@ def named(rows: NDArray[np.void]) -> list[dict[str, float]]:
 PAR = _table("""
     gravity
     brake_rise brake_speed vent  # s; of the signal, m/s; 1: a parted coupling vents the pipe
+    brake_system radio_delay  # index in params.BRAKE_SYSTEMS; s
     ground_cs ground_cd ground_eps ground_cv ground_scale
     force_max half_distance buffer c1 c2 c3 begin_force end_force end_hold  # of contacts
     gap_law  # 0 gaussian, 1 lorentzian
@@ -65,6 +66,7 @@ UNIT = _table("""
     traction  # mu_t m g, N
     delay
     number  # car number in the real train
+    hand  # force of the hand brake, N
 """)
 PUSH = _table("""
     car

@@ -20,7 +20,14 @@ from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.engine.outcome import make_outcome
-from derail_ros.engine.reports import BEFORE_AFTER, STATUS, brake_words, collision_of, event_of
+from derail_ros.engine.reports import (
+    BEFORE_AFTER,
+    CAUSES,
+    STATUS,
+    brake_words,
+    collision_of,
+    event_of,
+)
 from derail_ros.engine.sampling import Sampler, all_active
 from derail_ros.engine.solver import plain_masses
 from derail_ros.engine.track import Track
@@ -105,6 +112,13 @@ class PlanarSimulation(Simulation):
             )  # fmt: skip
         for number in start.parted_couplings:
             self._add_event(EventKind.COUPLER_PARTED, (number, number + 1), cause="initial")
+            if self.params.brakes.vent_on_parting:
+                at = float(self._model.car["distance"][number - 1 : number + 1].mean())
+                apply_brakes(self._model, s, at, layout.ARR_CONV, 0.0)
+                self._add_event(
+                    EventKind.BRAKES_TRIGGERED, (number, number + 1),
+                    cause=CAUSES[layout.CAUSE_VENT],
+                )  # fmt: skip
         for coordinate in self.params.track.rail_breaks:
             x, y, _, _ = self.track.point(coordinate)
             self._add_event(
@@ -412,7 +426,7 @@ class PlanarSimulation(Simulation):
         if source == "car":
             places.append(float(distance[car - 1]))
         for place in places:
-            apply_brakes(self._model, self._state, place, True, True, kind, t)
+            apply_brakes(self._model, self._state, place, kind, t)
 
     def apply(self, command: Command) -> None:
         """Apply a logged command again, at the step at which it was logged."""

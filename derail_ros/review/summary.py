@@ -321,6 +321,8 @@ def _outcome(run: RecordedRun, record: dict[str, Any]) -> list[str]:
     status = o.status if o.final else f"{o.status} (the end is not recorded)"
     rows = [("status", status), ("train", record["train"]["text"])]
     rows.append(("speed at the start", words.speed(run.initial_speed)))
+    if record["braked"] is False:
+        rows.append(("brakes", "never applied"))
     rows += shown_rows(record, without=("rear_stop_m",))
     if o.rear_part_first_car:
         # Without a parted coupling ahead of it there is no part that stands by itself.

@@ -93,7 +93,10 @@ LOADS = {
 BRAKES: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("COMPOSITION", "OK", "IN", "CUT IN", "OPERATIVE"), {}),
     "CAST IRON": {"shoe": "cast_iron"},
-    **dict.fromkeys(("NONE", "CUT OUT", "OUT", "INOPERATIVE", "BAD ORDER"), {"shoe": "none"}),
+    "NONE": {"shoe": "none"},
+    **dict.fromkeys(("CUT OUT", "OUT", "INOPERATIVE", "BAD ORDER"), {"cut_out": True}),
+    **dict.fromkeys(("HAND BRAKE", "HANDBRAKE", "HB"), {"hand_brake": True}),
+    "NO EMPTY/LOAD": {"empty_load_device": False},
 }
 TRUCK_SHARE = 0.75
 """Truck centres over length over couplers of a car of no type, assumed."""

@@ -16,6 +16,7 @@ from derail_ros.scenario.messages import did_you_mean, shown
 from derail_ros.scenario.rolling_stock import RollingStock, check_car_type
 from derail_ros.scenario.schema import (
     MAX_CARS,
+    Brakes,
     BrakeSpec,
     CarType,
     ConsistBlock,
@@ -64,6 +65,13 @@ LONG_COUPLER = 1.3
 LEAST_LOAD = 0.1
 """Share of its load from which a car counts as loaded."""
 
+DEVICE_SHARE = 0.2
+"""Share of its load below which an empty/load device is in its empty position, assumed."""
+
+SHOE_FRICTION = 0.21 * 19.223 / 9.388
+"""Friction of a composition shoe near rest, 0.43: that of the brake law (``laws.brake``); 0.28 at
+80 km/h, about 0.3 over a stop."""
+
 JOINT = "ARTICULATED"
 """Coupler type between the platforms of an articulated car."""
 
@@ -102,6 +110,7 @@ class Block:
     empty, loaded : mass empty and loaded, kg; None if not known
     load : share of the load, 0 to 1; None if not known
     locomotive : it is one
+    brake : what was said of the brake, the type's with the block's over it
     """
 
     count: int
@@ -123,6 +132,7 @@ class Block:
     loaded: float | None = None
     load: float | None = None
     locomotive: bool = False
+    brake: BrakeSpec = BrakeSpec()
 
     def coupled_length(self, couplers: dict[str, CouplerType]) -> float:
         """From pulling face to pulling face, m."""
@@ -195,7 +205,7 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     resolved = Resolved(model, entries, kept)
     _check_counts(resolved)
     _check_numbers(resolved)
-    _check_brakes(model)
+    _check_brakes(resolved)
     _check_integration(model)
     _check_track(resolved)
     _check_derails(resolved)
@@ -342,6 +352,7 @@ def _block(
         loaded=loaded,
         load=load,
         locomotive=bool(value("locomotive")),
+        brake=brake,
     )
     _check_block(result, path, couplers)
     return result
@@ -512,10 +523,19 @@ def _check_numbers(resolved: Resolved) -> None:
     check(("brakes", "signal_car"), model.brakes.signal_car, bodies, word)
     for i, trigger in enumerate(model.brakes.triggers):
         check(("brakes", "triggers", i, "car"), trigger.car, bodies, word)
+    for i, number in enumerate(model.brakes.remote_locomotives):
+        check(("brakes", "remote_locomotives", i), number, total, "car")
 
 
-def _check_brakes(model: ScenarioModel) -> None:
+def _check_brakes(resolved: Resolved) -> None:
+    model = resolved.model
     brakes = model.brakes
+    if brakes.remote_locomotives and brakes.system != "distributed_power":
+        path: Path = ("brakes", "remote_locomotives")
+        raise Refusal(path, f"only goes with system distributed_power, got {brakes.system}")
+    if brakes.system == "distributed_power" and not _remote_cars(resolved):
+        reason = "is required: no locomotive stands behind the head of the train"
+        raise Refusal(("brakes", "remote_locomotives"), reason)
     if brakes.signal_source == "car" and brakes.signal_car is None:
         raise Refusal(("brakes", "signal_car"), "is required with signal_source car")
     if brakes.signal_source != "car" and brakes.signal_car is not None:
@@ -633,6 +653,56 @@ def _distances(resolved: Resolved) -> Iterator[tuple[float, Block]]:
         ahead = block
 
 
+def _remote_cars(resolved: Resolved) -> tuple[int, ...]:
+    """Numbers of the cars at which distributed power vents the pipe, from 1."""
+    given = resolved.model.brakes.remote_locomotives
+    if given:
+        return tuple(sorted(set(given)))
+    power = [block.locomotive for block in resolved.cars()]
+    return tuple(i + 1 for i in range(1, len(power)) if power[i] and not power[i - 1])
+
+
+def _remote(resolved: Resolved) -> tuple[float, ...]:
+    """Places that the radio orders to vent, as arc length behind the centre of car 1, m."""
+    system = resolved.model.brakes.system
+    distances = [distance for distance, _ in _distances(resolved)]
+    if system == "two_way_eot":
+        return (distances[-1],)
+    if system == "distributed_power":
+        return tuple(distances[number - 1] for number in _remote_cars(resolved))
+    return ()
+
+
+def _brake_unit(block: Block, distance: float, brakes: Brakes) -> BrakeUnit:
+    """The brake of one car.
+
+    By the law of braking ratios its full emergency force near rest is the net braking ratio of
+    its load state, times the weight in that state, the emergency factor and the friction of the
+    shoe near rest. Without an empty/load device the shoes press as on the loaded car.
+    """
+    spec, scale = block.brake, block.scale * brakes.force_scale
+    if brakes.system == "ecp":
+        scale *= brakes.ecp_ratio_factor
+    full = _first(block.loaded, block.mass)
+    force = None
+    if spec.cut_out:
+        force = 0.0
+    elif brakes.law == "braking_ratio":
+        light = block.load is not None and block.load < DEVICE_SHARE and not block.locomotive
+        if light and spec.empty_load_device is not False:
+            ratio = _first(spec.net_braking_ratio_empty, brakes.net_braking_ratio_empty)
+            weight = _first(block.empty, block.mass)
+        else:
+            ratio = _first(spec.net_braking_ratio_loaded, brakes.net_braking_ratio_loaded)
+            weight = full
+        force = ratio * weight * GRAVITY * brakes.emergency_factor * SHOE_FRICTION * scale
+    hand = 0.0
+    if spec.hand_brake:
+        hand = brakes.hand_brake_ratio * full * GRAVITY * SHOE_FRICTION
+    weight = 0.0 if spec.cut_out else block.mass
+    return BrakeUnit(distance, block.shoe, scale, block.delay, weight, force, hand)
+
+
 def _mode(instant: bool, traction_limited: bool) -> str:
     words = ["instant"] * instant + ["traction_limited"] * traction_limited
     return "_".join(words) or "conventional"
@@ -721,7 +791,8 @@ def train_params(resolved: Resolved) -> TrainParams:
         ),
         brakes=BrakeParams(
             triggers=_triggers(model),
-            **to_engine(model.brakes, BrakeParams),
+            remote=_remote(resolved),
+            **{**to_engine(model.brakes, BrakeParams), **_build_up(model.brakes)},
         ),
         ground=_copy(model.ground, GroundParams),
         contact=_copy(model.contact, ContactParams),
@@ -729,6 +800,11 @@ def train_params(resolved: Resolved) -> TrainParams:
         integration=_copy(model.integration, IntegrationParams),
         model=model.model,
     )
+
+
+def _build_up(brakes: Brakes) -> dict[str, float]:
+    """The build-up of ECP brakes in place of that of the others."""
+    return {"rise_time": brakes.ecp_rise_time_s} if brakes.system == "ecp" else {}
 
 
 def _copy(section: Section, owner: type[Any]) -> Any:
@@ -762,11 +838,11 @@ def _triggers(model: ScenarioModel) -> tuple[BrakeTrigger, ...]:
 
 def _cars(resolved: Resolved) -> tuple[Car, ...]:
     """Bodies of the train; the last one may stand for several cars."""
-    scale = resolved.model.brakes.force_scale
+    brakes = resolved.model.brakes
     cars = []
     for distance, block in _distances(resolved):
         counts = block.load is not None and not block.locomotive
-        unit = BrakeUnit(distance, block.shoe, block.scale * scale, block.delay, block.mass)
+        unit = _brake_unit(block, distance, brakes)
         cars.append(
             Car(
                 mass=block.mass,

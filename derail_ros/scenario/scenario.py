@@ -622,8 +622,12 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
     data: dict[str, Any] = resolved.model.model_dump(mode="json")
     if data["model"] == PLANAR:  # came later: the hashes of older scenarios stay what they were
         del data["model"]
-    if not data["inputs"]:
-        del data["inputs"]
+    for section, plain in ((resolved.model, data), (resolved.model.brakes, data["brakes"])):
+        for name, info in type(section).model_fields.items():
+            extra = info.json_schema_extra
+            later = isinstance(extra, dict) and extra.get("later")
+            if later and getattr(section, name) == info.default:
+                del plain[name]
     data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
     data["train"]["car_types"] = {}
     couplers = data["couplers"]
@@ -675,7 +679,12 @@ def _block_data(block: Block) -> dict[str, Any]:
         "truck_centres_m": block.trucks,
         **({"coupler": block.front} if same else ends),
         "coupler_inertia_kg_m2": block.coupler_inertia,
-        "brake": {"shoe": block.shoe, "scale": block.scale, "delay_s": block.delay},
+        "brake": {
+            **{key: value for key, value in block.brake if value is not None},
+            "shoe": block.shoe,
+            "scale": block.scale,
+            "delay_s": block.delay,
+        },
         **({"locomotive": True} if block.locomotive else {}),
     }
 

@@ -86,14 +86,22 @@ def engine_default(owner: type[Any], name: str) -> Any:
     return field.default
 
 
-def _field(default: Any, unit: str, text: str, **limits: Any) -> Any:
-    """A field of the format: default (``...``: required), unit, meaning and limits."""
-    return Field(default, description=text, json_schema_extra={"unit": unit}, **limits)
+def _field(default: Any, unit: str, text: str, later: bool = False, **limits: Any) -> Any:
+    """A field of the format: default (``...``: required), unit, meaning and limits.
+
+    One that came ``later`` is left out of resolved scenarios at its default: the hashes of older
+    scenarios stay what they were.
+    """
+    extra: dict[str, Any] = {"unit": unit, **({"later": True} if later else {})}
+    return Field(default, description=text, json_schema_extra=extra, **limits)
 
 
-def _engine(owner: type[Any], name: str, unit: str, text: str, **limits: Any) -> Any:
+def _engine(
+    owner: type[Any], name: str, unit: str, text: str, later: bool = False, **limits: Any
+) -> Any:
     """A field that is passed on as ``owner.name`` of the engine and has its default."""
     extra: dict[str, Any] = {"unit": unit, "engine": f"{owner.__name__}.{name}"}
+    extra |= {"later": True} if later else {}
     default = engine_default(owner, name)
     return Field(default, description=text, json_schema_extra=extra, **limits)
 
@@ -160,6 +168,21 @@ class BrakeSpec(Section):
     delay_s: Number | None = _field(
         None, "s", "delay after the signal has reached the car; 0 unless given", ge=0, le=600
     )
+    net_braking_ratio_loaded: Number | None = _field(
+        None, "1", "of this car, in place of that of brakes", ge=0, le=1
+    )
+    net_braking_ratio_empty: Number | None = _field(
+        None, "1", "of this car, in place of that of brakes", ge=0, le=1
+    )
+    empty_load_device: Switch | None = _field(
+        None,
+        "",
+        "the car has a device that lowers the shoe force when it is empty; true unless given",
+    )
+    cut_out: Switch | None = _field(
+        None, "", "its air brake is cut out; the signal still passes; false unless given"
+    )
+    hand_brake: Switch | None = _field(None, "", "its hand brake is set; false unless given")
 
 
 CurvePoint = tuple[
@@ -506,6 +529,56 @@ class BrakeTriggerSpec(Section):
 class Brakes(Section):
     """The brakes and the emergency application at the start."""
 
+    law: Literal["published", "braking_ratio"] = _field(
+        "published",
+        "",
+        "force of a car: force_N for each (published), or from its net braking ratio, "
+        "mass and load (braking_ratio)",
+        later=True,
+    )
+    system: Literal["conventional", "two_way_eot", "distributed_power", "ecp"] = _engine(
+        BrakeParams,
+        "system",
+        "",
+        "how an emergency spreads: along the pipe from its source (conventional), from the rear "
+        "end too by the radio of a two-way end-of-train device, from locomotives within and "
+        "behind the train too, or to all cars at once",
+        later=True,
+    )
+    radio_delay_s: Number = _engine(
+        BrakeParams, "radio_delay", "s", "delay of the radio", later=True, ge=0, le=100
+    )
+    remote_locomotives: tuple[CarNumber, ...] = _field(
+        (),
+        "1",
+        "cars whose brake pipe the radio of distributed_power opens; none given: the first "
+        "locomotive of each group behind the head",
+        max_length=20,
+        later=True,
+    )
+    net_braking_ratio_loaded: Number = _field(
+        0.11,
+        "1",
+        "shoe force of full service over weight, loaded; 0.085 to 0.14",
+        ge=0,
+        le=1,
+        later=True,
+    )
+    net_braking_ratio_empty: Number = _field(
+        0.25, "1", "the same of an empty car, 0.15 to 0.38", ge=0, le=1, later=True
+    )
+    emergency_factor: Number = _field(
+        1.2, "1", "shoe force in emergency over that of full service", ge=1, le=3, later=True
+    )
+    hand_brake_ratio: Number = _field(
+        0.1, "1", "shoe force of a hand brake over the loaded weight", ge=0, le=1, later=True
+    )
+    ecp_ratio_factor: Number = _field(
+        1.22, "1", "shoe force of an ECP brake over that of others", ge=0.1, le=3, later=True
+    )
+    ecp_rise_time_s: Number = _field(
+        12.0, "s", "from zero to full force of an ECP brake", ge=0, le=1000, later=True
+    )
     force_N: Number = _engine(
         BrakeParams, "force", "N", "full force F0 of a car near rest [R]", ge=0, le=1e7
     )
@@ -719,7 +792,11 @@ class ScenarioModel(Section):
     source: Text = _field("", "", "where the numbers come from")
     model: TypeName = _field("planar", "", "model that computes the run, of `derail models`")
     inputs: tuple[InputSpec, ...] = _field(
-        (), "", "files that this one was made from; they travel with recordings", max_length=20
+        (),
+        "",
+        "files that this one was made from; they travel with recordings",
+        later=True,
+        max_length=20,
     )
     train: Train = _field(..., "", "what runs, and how fast")
     couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")

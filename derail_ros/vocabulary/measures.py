@@ -86,7 +86,9 @@ class Measure:
             return None if value is None else int(value)
         if self.kind in (CARS, PAIR):
             return None if value is None else [int(v) for v in value]
-        return bool(value) if self.kind == FLAG else str(value)
+        if self.kind == FLAG:
+            return None if value is None else bool(value)
+        return str(value)
 
     def number(self, value: Any) -> float | None:
         """A recorded value as a number: a list of cars by its length; None where there is none."""
@@ -121,6 +123,11 @@ def _share(*entries: str) -> Callable[[Outcome], float]:
         return sum(taken) / total if total > 0.0 and taken else math.nan
 
     return share
+
+
+def _braked(o: Outcome) -> bool | None:
+    """Whether a brake took energy; None of a model without brakes."""
+    return None if "brakes" not in o.energy else abs(o.energy["brakes"]) > 0.0
 
 
 def _all(*measures: Measure) -> dict[str, Measure]:
@@ -165,6 +172,7 @@ MEASURES: dict[str, Measure] = _all(
             _share("ground_trucks", "ground_body"), digits=3, group=DETAIL),
     Measure("share_collisions", "share of the energy taken by collisions",
             _share("collisions"), digits=3, group=DETAIL),
+    Measure("braked", "brakes applied", _braked, FLAG, group=DETAIL),
     Measure("train_cars", "cars in the train", lambda o: o.train.cars, COUNT, group=DETAIL),
     Measure("train_locomotives", "locomotives in the train", lambda o: o.train.locomotives, COUNT,
             group=DETAIL),

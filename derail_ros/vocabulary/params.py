@@ -16,6 +16,8 @@ PLANAR = "planar"
 """Name of the default model."""
 METHODS = ("rkf45", "row")
 """Methods of integration: the explicit reference, and the one with implicit friction."""
+BRAKE_SYSTEMS = ("conventional", "two_way_eot", "distributed_power", "ecp")
+"""Brake systems; their places are the codes that kernels use."""
 LATER: Mapping[str, Any] = {"left_out_at_default": True}
 """Marks a field that came later than the format of saved states (``vocabulary.plain``)."""
 
@@ -57,6 +59,8 @@ class BrakeUnit:
     scale : size factor ``K_b``, 1
     delay : delay of this car's own brake after the signal reaches it, s
     weight : mass the traction limited mode counts for this unit, kg
+    force : full emergency force at rest, N, in place of ``BrakeParams.force`` times ``scale``
+    hand : force of the hand brake at rest, N; it acts from the start, on the same shoes
     """
 
     distance: float
@@ -64,6 +68,8 @@ class BrakeUnit:
     scale: float = 1.0
     delay: float = 0.0
     weight: float = 0.0
+    force: float | None = field(default=None, metadata=LATER)
+    hand: float = field(default=0.0, metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -220,6 +226,11 @@ class BrakeParams:
     traction_coefficient : ``mu_t`` of the traction limited mode
     vent_on_parting : a parted coupling starts the emergency from there, both ways
     triggers : applications present from the start
+    system : how an emergency spreads (``BRAKE_SYSTEMS``); along the brake pipe in all but "ecp"
+    remote : places that a radio orders to vent too, as arc length behind the centre of car 1, m:
+        the rear end ("two_way_eot"), the locomotives within and behind ("distributed_power")
+    radio_delay : from the leading locomotive's noticing an emergency to the venting there, s; with
+        distributed power, from any locomotive's noticing it to the venting at all others
     """
 
     force: float = 64_000.0
@@ -228,6 +239,9 @@ class BrakeParams:
     traction_coefficient: float = 0.3
     vent_on_parting: bool = False
     triggers: tuple[BrakeTrigger, ...] = (BrakeTrigger(),)
+    system: str = field(default="conventional", metadata=LATER)
+    remote: tuple[float, ...] = field(default=(), metadata=LATER)
+    radio_delay: float = field(default=1.0, metadata=LATER)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def test_a_list_of_a_railway(tmp_path):
     # the spine car's own tare and its lading, 70.5 and 162.5 short tons
     assert sum(masses[4:]) == pytest.approx(233, rel=1e-3)
     assert [car.contents for car in cars[1:5]] == ["wheat", "", "ethanol", "containers"]
-    assert cars[2].brakes[0].shoe == "none"
+    assert cars[2].brakes[0].force == 0.0
     totals = scenario.totals
     assert (totals.cars, totals.locomotives, totals.loads, totals.empties) == (9, 1, 7, 1)
     assert totals.length == pytest.approx(sum(lengths) * FT)

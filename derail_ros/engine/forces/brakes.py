@@ -1,7 +1,8 @@
 """Brakes: the retarding force of each car, the signal that starts it, and its damping.
 
 Force: the brake units of a body (``laws.brake``) pull at its mass centre against its velocity; a
-truck off the rails takes its half away. Power: force times speed. Damping: of the smoothed
+truck off the rails takes its half away. A hand brake presses the same shoes: the greater of the
+two forces counts. Power: force times speed. Damping: of the smoothed
 direction near rest. Moments: the arrival of an instant application, at which the force jumps.
 """
 
@@ -18,6 +19,10 @@ from derail_ros.engine.laws.brake import (
     rise,
     smooth_direction,
 )
+from derail_ros.vocabulary.params import BRAKE_SYSTEMS
+
+DISTRIBUTED_POWER = BRAKE_SYSTEMS.index("distributed_power")
+ECP = BRAKE_SYSTEMS.index("ecp")
 
 LARGEST_BRAKING = 20.0
 """Bound on the brake force of a body over its mass, m/s^2: says where damping may matter."""
@@ -46,7 +51,7 @@ def brake_force(model: Model, state: State, i: int, t: float, speed: float) -> f
         k = rise(t, arrival[u, layout.ARR_CONV], rise_time)
         if t_on >= arrival[u, layout.ARR_INST]:
             k = 1.0
-        f = k * unit[u].force
+        f = max(k * unit[u].force, unit[u].hand)
         f *= composition if shoe == 1.0 else cast_iron_factor(speed)
         if t > arrival[u, layout.ARR_TL] or t_on >= arrival[u, layout.ARR_INST_TL]:
             k = rise(t, arrival[u, layout.ARR_TL], rise_time)
@@ -108,24 +113,41 @@ def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> N
         wk[i].c_yy += across + (along - across) * uy * uy
 
 
+@inner_jit
+def _vent(model: Model, state: State, at: float, kind: int, t: float) -> None:
+    """Let the pipe's pressure fall at ``at`` (m behind car 1's centre) at the time ``t``."""
+    par = model.par[0]
+    at_once = kind == layout.ARR_INST or kind == layout.ARR_INST_TL or par.brake_system == ECP
+    for u in range(state.arrival.shape[0]):
+        arrival = t + model.unit[u].delay
+        if not at_once:
+            arrival += abs(model.unit[u].distance - at) / par.brake_speed
+        state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
+
+
 @jit
-def apply_brakes(
-    model: Model, state: State, at: float, backward: bool, forward: bool, kind: int, t: float
-) -> None:
+def apply_brakes(model: Model, state: State, at: float, kind: int, t: float) -> None:
     """Start an emergency at the arc length ``at`` (m behind car 1's centre) at the time ``t``.
 
-    The signal runs ``backward`` (to the rear) and / or ``forward``. A brake can only be raised:
-    each unit keeps its earliest arrival of each kind.
+    The signal runs both ways along the pipe. A brake can only be raised: each unit keeps its
+    earliest arrival of each kind. As a radio has places of its own (``model.remote``), they vent
+    too: as the wave reaches the head, the first car, and one radio delay later. With
+    distributed power the locomotives there listen as well, and the head hears of it by radio.
+    ECP brakes have no wave: all of them apply at once.
     """
-    speed = model.par[0].brake_speed
-    for u in range(state.arrival.shape[0]):
-        d = model.unit[u].distance - at
-        if (d > 0.0 and not backward) or (d < 0.0 and not forward):
-            continue
-        arrival = t + model.unit[u].delay
-        if kind == layout.ARR_CONV or kind == layout.ARR_TL:
-            arrival += abs(d) / speed
-        state.arrival[u, kind] = min(state.arrival[u, kind], arrival)
+    _vent(model, state, at, kind, t)
+    par = model.par[0]
+    if model.remote.shape[0] == 0 or par.brake_system == ECP:
+        return
+    noticed = abs(at)
+    if par.brake_system == DISTRIBUTED_POWER:
+        for place in model.remote:
+            noticed = min(noticed, abs(place - at))
+    told = t + noticed / par.brake_speed + par.radio_delay
+    for place in model.remote:
+        _vent(model, state, place, kind, told)
+    if par.brake_system == DISTRIBUTED_POWER:
+        _vent(model, state, 0.0, kind, told)
 
 
 @inner_jit
