@@ -680,10 +680,10 @@ def _block_data(block: Block) -> dict[str, Any]:
         **({"coupler": block.front} if same else ends),
         "coupler_inertia_kg_m2": block.coupler_inertia,
         "brake": {
-            **{key: value for key, value in block.brake if value is not None},
             "shoe": block.shoe,
             "scale": block.scale,
             "delay_s": block.delay,
+            **{k: v for k, v in list(block.brake)[3:] if v is not None},
         },
         **({"locomotive": True} if block.locomotive else {}),
     }

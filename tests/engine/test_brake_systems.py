@@ -87,15 +87,11 @@ def test_full_application_on_the_test_rack(system):
     National Academies letter report 24698 (2017), appendix F, measured on real valves. Here the
     wave from both ends, with 1 s of radio and 10 s of rise, gives 15 s.
     """
-    rear = "{car: locomotive_sd70ace"
-    cars = ["{car: locomotive_sd70ace, count: 2", CAR.replace("18.2", "15.24") + ", count: 150"]
+    car = CAR.replace("18.2", "15.24").replace("14.3", "11")
+    cars = ["{car: locomotive_sd70ace, count: 2", f"{car}, count: 150"]
+    cars += ["{car: locomotive_sd70ace"] * (system == "distributed_power")
     brakes = f", system: {system}, vent_on_parting: true, signal_source: none"
-    run = run_of(
-        *cars,
-        *([rear] if system == "distributed_power" else []),
-        brakes=brakes,
-        initiation=", parted_couplings: [2]",
-    )
+    run = run_of(*cars, brakes=brakes, initiation=", parted_couplings: [2]")
     full = arrivals(run).max() + 10.0
     assert full == pytest.approx(16.0, abs=3.0)
     assert applied(run, full - 0.3).min() < 0.99

@@ -36,7 +36,7 @@ def test_examples_of_the_page_load():
     blocks = PAGE.read_text(encoding="utf-8").split("```yaml\n")[1:]
     texts = [block.partition("```")[0] for block in blocks]
     whole = "version: 1\ntitle: x\ntrain:\n  speed_kmh: 60\n  consist: [{car: box_car}]\n"
-    assert len(texts) == 4
+    assert len(texts) == 5
     for text in texts:
         if "version" not in text:
             section = text.partition(":")[0]
@@ -86,7 +86,7 @@ def test_every_parameter_of_the_engine_can_be_set():
     made = {
         "TrackParams": {"segments", "rail_breaks"},
         "InitiationParams": {"speed", "derailed_trucks", "parted_couplings", "lateral_forces"},
-        "BrakeParams": {"triggers"},
+        "BrakeParams": {"triggers", "remote"},
         "BrakeTrigger": {"car", "mode"},
         "GroundParams": set(),
         "ContactParams": set(),

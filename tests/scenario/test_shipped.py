@@ -15,9 +15,21 @@ from derail_ros.scenario import (
     loads_scenario,
 )
 from derail_ros.vocabulary.params import TrainParams
+from derail_ros.vocabulary.train import length_over_couplers, train_totals
 
 DATA = Path(__file__).parent / "data"
+REPORTED = [
+    "avondale_2010",
+    "brighton_2009",
+    "dublin_2015",
+    "dugald_2009",
+    "macmillan_yard_2019",
+    "minot_2002",
+    "nickel_lake_2013",
+    "waterfall_2011",
+]
 NAMES = [
+    *REPORTED,
     "base_train",
     "curve_derailment",
     "mid_train_break",
@@ -40,8 +52,8 @@ def table(name):
 
 def test_list():
     listed = list_scenarios()
-    assert [name for name, _ in listed] == NAMES
-    assert listed[0].title == "Base train, 60 identical cars at 60 km/h"
+    assert [name for name, _ in listed] == sorted(NAMES)
+    assert dict(listed)["base_train"] == "Base train, 60 identical cars at 60 km/h"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -226,7 +238,7 @@ def test_curve_is_entered_through_a_spiral_of_400_m_radius():
 def test_coupler_types():
     stock = load_rolling_stock()
     rows = table("coupler_types.csv")
-    assert sorted(stock.couplers) == sorted(row["type"] for row in rows)
+    assert sorted(stock.couplers) == sorted([row["type"] for row in rows] + ["ARTICULATED"])
     for row in rows:
         spec = stock.couplers[row["type"]]
         assert spec.head == row["type"][0]
@@ -269,11 +281,53 @@ def test_every_car_type_makes_a_train(kind):
         f"  consist: [{{car: {kind}, count: 3}}]\ntrack: {{rail_breaks: [30]}}\n"
     )
     cars = loads_scenario(text).to_params().cars
-    assert len(cars) == 3
     stock = load_rolling_stock().cars[kind]
-    if stock.coupler_pivots_m is None and not kind.startswith("source_"):
-        inset = 1.16 if stock.coupler == "F73" else 0.34
-        assert 2 * cars[0].pivot_distance == pytest.approx(stock.length_m - inset)
+    assert len(cars) == 3 * max(1, len(stock.platforms))
+    if stock.length_over_couplers_m is not None:
+        assert length_over_couplers(cars[0]) == pytest.approx(stock.length_over_couplers_m)
+    if stock.coupler_pivots_m is None and not kind.startswith("source_") and not stock.platforms:
+        inset = 1.16 if stock.coupler in ("F73", "E69") else 0.34
+        if stock.length_m is not None and stock.length_over_couplers_m is not None:
+            inset = stock.length_m - 2 * cars[0].pivot_distance  # both are given
+        assert 2 * cars[0].pivot_distance == pytest.approx(cars[0].length - inset)
     # far enough apart that the couplings carry the train and not the buffers
-    gap = cars[1].brakes[0].distance - cars[0].length
-    assert gap > 0.8
+    places = [car.brakes[0].distance for car in cars]
+    for ahead, car, a, b in zip(cars, cars[1:], places, places[1:]):
+        assert b - a - 0.5 * (ahead.length + car.length) > 0.8
+
+
+# cars, locomotives, loads, empties, feet and what they are of, tonnes: as the summaries have them
+TRAINS = {
+    "macmillan_yard_2019": (82, 34, 48, None, None),
+    "nickel_lake_2013": (184, 184, 0, ("train", 11058), 24432),
+    "brighton_2009": (137, 75, 62, ("cars", 8850), None),
+    "dublin_2015": (76, 76, 0, None, None),
+    "avondale_2010": (72, 62, 10, ("cars", 4300), 7760 * 0.90718474),
+    "minot_2002": (112, 86, 26, None, 12015 * 0.90718474),
+    "waterfall_2011": (150, 150, 0, ("cars", 10201), 9537),
+}
+
+
+@pytest.mark.parametrize("name", TRAINS)
+def test_reported_trains_are_those_of_the_summaries(name):
+    cars, loads, empties, length, mass = TRAINS[name]
+    scenario = load_scenario(name)
+    bodies = scenario.to_params().cars
+    totals = scenario.totals
+    without = train_totals(car for car in bodies if not car.locomotives)
+    assert (without.cars, totals.loads, totals.empties) == (cars, loads, empties)
+    if length is not None:
+        found = totals.length if length[0] == "train" else without.length
+        assert found / 0.3048 == pytest.approx(length[1], rel=0.006)
+    if mass is not None:
+        assert without.mass == pytest.approx(mass * 1e3, rel=0.005)
+    assert scenario.warnings == ()
+    assert "Assumed:" in scenario.source
+
+
+def test_macmillan_yard_groups():
+    bodies = load_scenario("macmillan_yard_2019").to_params().cars
+    racks = train_totals(bodies[27:51])
+    assert (racks.mass / 1e3, racks.length / 0.3048) == pytest.approx((1245, 2252), rel=1e-3)
+    loaded = train_totals(car for car in bodies if car.loads)
+    assert (loaded.mass / 1e3, loaded.length / 0.3048) == pytest.approx((3391, 2074), rel=1e-3)
