@@ -127,7 +127,8 @@ def _share(*entries: str) -> Callable[[Outcome], float]:
 
 def _braked(o: Outcome) -> bool | None:
     """Whether a brake took energy; None of a model without brakes."""
-    return None if "brakes" not in o.energy else abs(o.energy["brakes"]) > 0.0
+    taken = o.energy.get("brakes", math.nan)
+    return abs(taken) > 0.0 if math.isfinite(taken) else None
 
 
 def _all(*measures: Measure) -> dict[str, Measure]:

@@ -355,7 +355,7 @@ UNKNOWN["roorda-gracie"] = UNKNOWN["yang-manos"] | {
 LINE = UNKNOWN["roorda-gracie"] | {
     "scene_length_m", "scene_width_m", "scene_area_m2", "rear_part_first_car",
     "rear_part_coordinate_m", "rear_stop_m",
-    "share_brakes", "share_ground", "steps", "rejected_steps",
+    "share_brakes", "braked", "share_ground", "steps", "rejected_steps",
 }  # fmt: skip
 
 

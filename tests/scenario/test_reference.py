@@ -43,7 +43,7 @@ def test_examples_of_the_page_load():
             text = "version: 1\ntitle: x\n" + text
             if section != "train":
                 text += whole[whole.index("train:") :]
-            else:
+            if section != "track":
                 text += "track: {rail_breaks: [30]}\n"
         assert loads_scenario(text).to_params()
 
