@@ -29,36 +29,48 @@ MAX_BYTES = 1024 * 1024
 """Largest list that is read, bytes."""
 
 LENGTH, MASS = "length", "mass"
-HEADINGS: dict[str, tuple[str, ...]] = {
-    "position": ("position", "pos", "position in train", "#", "seq", "sequence", "line", "no"),
-    "name": ("name", "car", "car number", "number", "initial", "car initial", "mark",
-             "reporting mark", "reporting marks", "car id", "id", "equipment", "equipment id",
-             "unit"),
-    "type": ("type", "car type", "car type code", "kind", "car kind", "aar", "aar code",
-             "aar type", "aar car type", "equipment type", "umler", "model", "description", "spec",
-             "specification", "class"),
-    "length_over_couplers": ("length", "length over couplers", "coupled length", "over couplers",
-                             "length over pulling faces", "over pulling faces", "outside length",
-                             "overall length", "car length"),
-    "length": ("body length", "length of body", "length over strikers", "over strikers",
-               "length over end sills", "body"),
-    "truck_centres": ("truck centres", "truck centers", "truck centre distance",
-                      "truck center distance", "truck spacing", "distance between truck centers",
-                      "bolster centers"),
-    "trucks": ("trucks", "number of trucks"),
-    "tare": ("tare", "tare weight", "tare mass", "light weight", "empty weight", "empty mass",
-             "empty", "lt wt"),
-    "gross": ("gross", "gross weight", "gross mass", "weight", "mass", "total weight",
-              "total mass", "gross rail load", "grl", "gross wt", "weight on rail"),
-    "lading": ("lading", "lading weight", "net", "net weight", "net mass", "load weight",
-               "payload"),
-    "load": ("load", "l/e", "le", "load/empty", "loaded/empty", "load or empty", "ld/mt", "loaded",
-             "load status", "status", "load state"),
-    "contents": ("contents", "commodity", "product", "cargo", "goods", "lading description"),
-    "brakes": ("brakes", "brake", "brake type", "brake shoe", "shoe", "brake status"),
-    "count": ("count", "qty", "quantity", "cars", "number of cars"),
-    "width": ("width", "body width"),
-}  # fmt: skip
+HEADINGS = {
+    "position": "position, pos, position in train, #, seq, sequence, line, no",
+    "name": (
+        "name, car, car number, number, initial, car initial, mark, reporting mark, reporting "
+        "marks, car id, id, equipment, equipment id, unit"
+    ),
+    "type": (
+        "type, car type, car type code, kind, car kind, aar, aar code, aar type, aar car "
+        "type, equipment type, umler, model, description, spec, specification, class"
+    ),
+    "length_over_couplers": (
+        "length, length over couplers, coupled length, over couplers, coupled, length over "
+        "pulling faces, over pulling faces, outside length, overall length, car length"
+    ),
+    "length": (
+        "body length, length of body, length over strikers, over strikers, length over end "
+        "sills, body"
+    ),
+    "truck_centres": (
+        "truck centres, truck centers, truck centre, truck center, truck centre distance, "
+        "truck center distance, truck spacing, distance between truck centers, bolster "
+        "centers"
+    ),
+    "trucks": "trucks, number of trucks",
+    "tare": "tare, tare weight, tare mass, light weight, empty weight, empty mass, empty, lt wt",
+    "gross": (
+        "gross, loaded weight, loaded mass, car weight, gross weight, gross mass, weight, "
+        "mass, total weight, total mass, gross rail load, grl, gross wt, weight on rail"
+    ),
+    "lading": "lading, lading weight, net, net weight, net mass, load weight, payload",
+    "load": (
+        "load, l/e, e/l, l or e, le, load/empty, loaded/empty, load or empty, ld/mt, loaded, "
+        "load status, status, load state"
+    ),
+    "contents": (
+        "contents, commodity, lading/contents, hazmat, stcc, product, cargo, goods, lading "
+        "description"
+    ),
+    "brakes": "brakes, brake, brake type, brake shoe, shoe, brake status",
+    "count": "count, qty, quantity, cars, number of cars",
+    "width": "width, body width",
+}
 """Headings by what they mean, in small letters and without their unit."""
 
 QUANTITIES = {
@@ -290,8 +302,8 @@ class _Reader:
             meaning = _meaning(" ".join(head))
             if meaning is None:
                 continue
-            if meaning == "trucks" and tail:
-                meaning = "truck_centres"
+            if tail:  # "Trucks (ft)" is a distance, "Loaded (lb)" a mass
+                meaning = {"trucks": "truck_centres", "load": "gross"}.get(meaning, meaning)
             quantity = QUANTITIES.get(meaning)
             if quantity is None:
                 return Column(index, heading, meaning) if not tail else None
@@ -600,7 +612,7 @@ def _normal(text: str) -> str:
 
 
 def _meaning(words: str) -> str | None:
-    return next((meaning for meaning, names in HEADINGS.items() if words in names), None)
+    return next((key for key, names in HEADINGS.items() if words in names.split(", ")), None)
 
 
 def _plain(text: str) -> float | None:
