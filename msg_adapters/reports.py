@@ -392,7 +392,7 @@ def outcome_from_message(message: Any) -> Outcome:
         energy_residual=number("energy_residual"),
         train=TrainTotals(
             whole("train_cars"),
-            *(whole(f"train_{key}") for key in TRAIN_COUNTS),
+            **{key: whole(f"train_{key}") for key in TRAIN_COUNTS},
             length=number("train_length_m"),
             mass=number("train_mass_kg"),
         ),

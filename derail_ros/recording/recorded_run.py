@@ -60,7 +60,7 @@ class Cars:
         length = told.get("length_over_couplers_m", 2.0 * pivot + coupler.sum(axis=-1))
         totals = TrainTotals(
             int(np.sum(m.represents_cars)),
-            *(int(told[key].sum()) if key in told else 0 for key in TRAIN_COUNTS),
+            **{key: int(told[key].sum()) for key in TRAIN_COUNTS if key in told},
             length=math.fsum(length),
             mass=math.fsum(m.mass),
         )

@@ -510,14 +510,18 @@ class _Car:
             given = gross or tare
             return {f"mass_{given[1]}": given[0]} if given else {}
         if goods is not None and gross is None:
-            own = light if light is not None else self.kind and self.kind.empty_mass_kg
+            own = light
+            if own is None and self.kind is not None:
+                own = self.kind.empty_mass_kg
             if own is None:
                 raise self.error(
                     "lading", "the tare is needed with it: neither list nor type has it"
                 )
             gross, heavy = (round(own + goods, 3), "kg"), own + goods
         if load is None:
-            if light is not None and heavy is not None:
+            if gross is None and self.text("lading"):
+                load = "empty"  # a lading of nothing
+            elif light is not None and heavy is not None:
                 load = "loaded" if heavy > 1.1 * light else "empty"
             elif gross is not None:
                 return {f"mass_{gross[1]}": gross[0]}

@@ -116,7 +116,9 @@ def canonical(
                 written[(*path, name)] = key
         if name in result or (name != key and name in data):
             first = written.get((*path, name), name)
-            raise Refusal((*path, key), f"gives the same quantity as {_other(key, first, name)}")
+            other = name if first == key else first
+            reason = f"gives the same quantity as {other}: give one of the two"
+            raise Refusal((*path, key), reason)
         inner = model_at(model, (name,)) if name in model.model_fields else None
         free = inner is not None and "dict[" in str(model.model_fields[name].annotation)
         if free and isinstance(value, dict):
@@ -125,10 +127,6 @@ def canonical(
             value = canonical(value, inner, (*path, name), written)
         result[name] = value
     return result
-
-
-def _other(key: str, first: str, name: str) -> str:
-    return f"{first if first != key else name}: give one of the two"
 
 
 def _converted(value: float, convert: Callable[[float], float], path: Path) -> float:

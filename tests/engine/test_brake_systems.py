@@ -95,7 +95,7 @@ def test_full_application_on_the_test_rack(system):
     full = arrivals(run).max() + 10.0
     assert full == pytest.approx(16.0, abs=3.0)
     assert applied(run, full - 0.3).min() < 0.99
-    assert applied(run, full + 0.01) == pytest.approx(1.0, rel=1e-9)
+    assert applied(run, full + 0.01) == pytest.approx(1.0, rel=1e-5)  # direction is smoothed
 
 
 def test_ecp_against_conventional():
