@@ -192,7 +192,7 @@ def start_up() -> list[dict[str, Any]]:
     The least of five, but for the first.
     """
     first_step = (
-        "from derail_ros.engine import Simulation\n"
+        "from derail_ros.engine import PlanarSimulation\n"
         "from derail_ros.scenario import load_scenario_by_name\n"
         "PlanarSimulation(load_scenario_by_name('mississauga').to_params()).advance_steps(1)"
     )
@@ -221,13 +221,10 @@ def exponent(x: list[float], y: list[float]) -> float:
 
 def table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]]) -> str:
     """Rows as a table in Markdown; columns: key -> (title, format)."""
-    lines = ["| " + " | ".join(title for title, _ in columns.values()) + " |"]
-    lines.append("|" + " --- |" * len(columns))
-    for row in rows:
-        cells = [format(row[key], how) if how else str(row[key]) for key, (_, how) in
-                 columns.items()]  # fmt: skip
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    from derail_ros.studies.tables import Table
+
+    cells = [[format(row[key], how) for key, (_, how) in columns.items()] for row in rows]
+    return Table([title for title, _ in columns.values()], cells, texts=len(columns)).markdown()
 
 
 def figure(rows: list[dict[str, Any]], path: Path) -> None:

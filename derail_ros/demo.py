@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import os
 import signal
 import subprocess
@@ -23,6 +22,8 @@ from typing import Any
 
 from derail_ros.nodes.domain import free_domain
 from derail_ros.recording.reader import read_bag
+from derail_ros.studies.published import load_published
+from derail_ros.vocabulary.measures import MEASURES, outcome_record
 from derail_ros.vocabulary.outcome import Outcome, ending
 
 SCENARIO = "mississauga"
@@ -34,15 +35,15 @@ INTERRUPTED = 130
 GIVE_UP = 300.0
 """Wall time after which the demonstration gives up, s."""
 
-ACCIDENT = {"cars": "24", "scene": "132 m × 39 m", "duration": "-", "force": "-", "pair": "-"}
-PUBLISHED = {
-    "cars": "24",
-    "scene": "109 m × 42 m",
-    "duration": "25.3 s",
-    "force": "23.1 MN",
-    "pair": "car 11 into 9",
-}
-"""What is known of the accident, and the published model (E. E. Toma, 1998)."""
+KEYS = (
+    "cars_derailed",
+    "scene_length_m",
+    "scene_width_m",
+    "duration_s",
+    "peak_force_N",
+    "peak_force_pair",
+)
+"""Measures that are compared."""
 
 
 @dataclass
@@ -173,29 +174,14 @@ def comparison(outcome: Outcome, scenario: str) -> Any:
     """Table of the outcome, for Mississauga beside the accident and the published model."""
     from rich.table import Table
 
-    pair = outcome.peak_force_pair
-    here = {
-        "cars": str(outcome.cars_derailed),
-        "scene": f"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m",
-        "duration": f"{outcome.duration:.1f} s" if math.isfinite(outcome.duration) else "-",
-        "force": f"{outcome.peak_force / 1e6:.1f} MN",
-        "pair": f"car {pair[0]} into {pair[1]}" if pair else "-",
-    }
-    columns = {"this run": here}
+    columns: dict[str, Any] = {"this run": outcome_record(outcome)}
     if scenario.startswith(SCENARIO):
-        columns |= {"the accident": ACCIDENT, "published model": PUBLISHED}
-    table = Table(title=f"{scenario}: {ending(outcome)}")
-    table.add_column("")
-    for name in columns:
-        table.add_column(name)
-    for key, label in (
-        ("cars", "cars derailed"),
-        ("scene", "scene"),
-        ("duration", "duration"),
-        ("force", "largest collision force"),
-        ("pair", "between"),
-    ):
-        table.add_row(label, *(values[key] for values in columns.values()))
+        known = load_published()
+        (case,) = (c for c in known.beside if c.scenario == SCENARIO)
+        columns |= {"the accident": known.accident(scenario), "published model": case.published}
+    table = Table("", *columns, title=f"{scenario}: {ending(outcome)}")
+    for m in (MEASURES[key] for key in KEYS):
+        table.add_row(m.title, *(m.shown(record.get(m.key)) for record in columns.values()))
     return table
 
 

@@ -75,11 +75,6 @@ def written_by(name: str) -> str:
     return f"Written by `python -m research {name}`; do not edit."
 
 
-def capital(text: str) -> str:
-    """With a capital."""
-    return text[0].upper() + text[1:]
-
-
 # Results between marks ---------------------------------------------------------------------
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from derail_ros.nodes.parameters import NODES, Value
+from derail_ros.studies.tables import Table
 from msg_adapters.topics import TOPICS
 from research.pages import ROOT, Options
 
@@ -50,29 +51,22 @@ def parameter_file(node: str) -> str:
 
 def parameter_table(node: str) -> str:
     """Markdown table of a node's parameters."""
-    lines = [
-        "| name | type | default | unit | range | can change | what it does |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for p in NODES[node]:
-        change = "at start only" if p.read_only else "any time"
-        lines.append(
-            f"| `{p.name}` | {p.type_name} | `{_yaml(p.default)}` | {p.unit} | {p.range} | "
-            f"{change} | {p.description} |"
-        )
-    return "\n".join(lines) + "\n"
+    heads = ("name", "type", "default", "unit", "range", "can change", "what it does")
+    rows = [
+        (f"`{p.name}`", p.type_name, f"`{_yaml(p.default)}`", p.unit, p.range,
+         "at start only" if p.read_only else "any time", p.description)
+        for p in NODES[node]
+    ]  # fmt: skip
+    return Table(heads, rows, texts=7).markdown() + "\n"
 
 
 def topic_table() -> str:
     """Markdown table of the simulator's topics."""
-    lines = ["| name | type | QoS | when |", "| --- | --- | --- | --- |"]
+    rows = []
     for topic in TOPICS.values():
-        durability = "transient local" if topic.latched else "volatile"
-        lines.append(
-            f"| `{topic.name}` | `{topic.msgtype}` | reliable, {durability}, {topic.depth} | "
-            f"{topic.when} |"
-        )
-    return "\n".join(lines) + "\n"
+        qos = f"reliable, {'transient local' if topic.latched else 'volatile'}, {topic.depth}"
+        rows.append((f"`{topic.name}`", f"`{topic.msgtype}`", qos, topic.when))
+    return Table(("name", "type", "QoS", "when"), rows, texts=4).markdown() + "\n"
 
 
 def page() -> str:

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.commands import common
-from derail_ros.commands.common import counting_runs
+from derail_ros.commands.spread import spreads_of
 from derail_ros.review.drawing import BLUE, VERMILION, dress, heading, sheet, styled
 from derail_ros.studies.drawing import BAND, grid_of
 from derail_ros.studies.ensemble import VARIATION
-from derail_ros.studies.published import load_published
 from derail_ros.studies.records import Distribution
-from derail_ros.studies.spread import DEFAULT, Spread, sentence, spread, spread_table
+from derail_ros.studies.spread import Spread, sentence, spread_table
 from derail_ros.studies.tables import Table
 from research.pages import Options, document, picture, written_by
 
@@ -30,22 +28,7 @@ OUTSIDE = "#dfe8ee"
 def write(options: Options) -> None:
     """Run the scenarios, write the page and a figure each."""
     options.images()
-    published = load_published()
-    spreads = []
-    for scenario in [common.load(name) for name in options.names or DEFAULT]:
-        beside = published.of_run(scenario.name, scenario.to_params())
-        with counting_runs(scenario.name) as progress:
-            spreads.append(
-                spread(
-                    scenario,
-                    options.members or 200,
-                    options.seed,
-                    jobs=options.jobs,
-                    published=beside,
-                    accident=published.accident(scenario.name),
-                    progress=progress,
-                )
-            )
+    spreads = spreads_of(options.names, None, options.members or 200, options.seed, options.jobs)
     options.write(page(spreads), {image(s): histograms(s) for s in spreads})
 
 

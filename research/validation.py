@@ -18,10 +18,11 @@ from derail_ros.studies.validation import (
     measure_tables,
     validate,
 )
+from derail_ros.vocabulary.words import capital
 from research import mississauga
 from research import validation_figures as f
 from research.impact import STANDING, STRIKING, impacts, words
-from research.pages import Options, capital, document, picture, written_by
+from research.pages import Options, document, picture, written_by
 
 FIGURES = (
     ("validation.png", "", "Published values beside the ensembles"),

@@ -33,9 +33,8 @@ from derail_ros.studies.drawing import BAND, PALE
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.validation import KEYS, CaseResult, Validation
 from derail_ros.vocabulary.measures import MEASURES
-from derail_ros.vocabulary.words import number_list
+from derail_ros.vocabulary.words import capital, number_list
 from research.mississauga import Details, PublishedDetails
-from research.pages import capital
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

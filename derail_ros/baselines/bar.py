@@ -24,6 +24,7 @@ it never stops: above a limiting speed the whole train derails.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -303,6 +304,30 @@ def applied_share(t: float, x: F64, length: F64, rise: float, signal: float) -> 
     return gain * signal / (length - x)
 
 
+def slopes(
+    acceleration: Callable[..., F64],
+    t: float,
+    h: float,
+    x: F64,
+    v: F64,
+    i: NDArray[np.intp],
+    least: float = -np.inf,
+) -> tuple[F64, F64]:
+    """Mean velocity and acceleration of a step of the classical Runge-Kutta method.
+
+    ``acceleration(t, x, v, i)`` is that of the trains ``i``; its velocities are at least
+    ``least``.
+    """
+    a1 = acceleration(t, x, v, i)
+    v2 = np.maximum(v + 0.5 * h * a1, least)
+    a2 = acceleration(t + 0.5 * h, x + 0.5 * h * v, v2, i)
+    v3 = np.maximum(v + 0.5 * h * a2, least)
+    a3 = acceleration(t + 0.5 * h, x + 0.5 * h * v2, v3, i)
+    v4 = np.maximum(v + h * a3, least)
+    a4 = acceleration(t + h, x + h * v3, v4, i)
+    return (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
+
+
 def _integrate(
     speed: ArrayLike,
     cars: ArrayLike,
@@ -350,18 +375,10 @@ def _integrate(
     while live.size and t < time_limit:
         i, h = live, step
         x0, v0 = x[i], v[i]
-        a1 = acceleration(t, x0, v0, i)
-        v2 = v0 + 0.5 * h * a1
-        a2 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v0, v2, i)
-        v3 = v0 + 0.5 * h * a2
-        a3 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v2, v3, i)
-        v4 = v0 + h * a3
-        a4 = acceleration(t + h, x0 + h * v3, v4, i)
-        x1 = x0 + h / 6.0 * (v0 + 2.0 * v2 + 2.0 * v3 + v4)
-        v1 = v0 + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        speed_mean, mean = slopes(acceleration, t, h, x0, v0, i)
+        x1, v1 = x0 + h * speed_mean, v0 + h * mean
         stops = v1 <= 0.0
         over = ~stops & (x1 >= length[i])
-        mean = (v1 - v0) / h
         with np.errstate(divide="ignore", invalid="ignore"):
             rest = np.where(stops, v0 / -mean, h)
             room = length[i] - x0

@@ -31,6 +31,7 @@ from derail_ros.baselines.bar import (
     applied_share,
     arrays,
     check_brakes,
+    slopes,
 )
 from derail_ros.vocabulary.params import GRAVITY
 
@@ -116,16 +117,8 @@ def blockage(
     while live.size and t < time_limit:
         i, h = live, step
         x0, v0 = x[i], v[i]
-        a1 = acceleration(t, x0, v0, i)
-        v2 = np.maximum(v0 + 0.5 * h * a1, 0.0)
-        a2 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v0, v2, i)
-        v3 = np.maximum(v0 + 0.5 * h * a2, 0.0)
-        a3 = acceleration(t + 0.5 * h, x0 + 0.5 * h * v2, v3, i)
-        v4 = np.maximum(v0 + h * a3, 0.0)
-        a4 = acceleration(t + h, x0 + h * v3, v4, i)
-        mean = (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-        x1 = x0 + h / 6.0 * (v0 + 2.0 * v2 + 2.0 * v3 + v4)
-        v1 = v0 + h * mean
+        speed_mean, mean = slopes(acceleration, t, h, x0, v0, i, least=0.0)
+        x1, v1 = x0 + h * speed_mean, v0 + h * mean
         stops = v1 <= 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(stops, np.minimum(v0 / -mean, h), h)

@@ -25,6 +25,7 @@ from derail_ros.review.drawing import (
     sheet,
     styled,
 )
+from derail_ros.review.plots import apart
 from derail_ros.studies.drawing import ORANGE, with_bars
 from derail_ros.vocabulary.measures import MEASURES
 from derail_ros.vocabulary.status import AT_REST
@@ -175,19 +176,6 @@ def _draw_counts(
 # Over the speed -------------------------------------------------------------------------------
 
 
-def _apart(places: Sequence[float], room: float) -> list[float]:
-    """Rising places moved as little as needed to be ``room`` apart, groups about their middle."""
-    groups: list[tuple[float, int]] = []  # lowest place of a group, members
-    for at in places:
-        low, n = at, 1
-        while groups and groups[-1][0] + groups[-1][1] * room > low:
-            below, m = groups.pop()
-            low = (m * below + n * (low - m * room)) / (m + n)
-            n += m
-        groups.append((low, n))
-    return [low + k * room for low, n in groups for k in range(n)]
-
-
 Points = Sequence[tuple[float, float]]
 
 
@@ -238,7 +226,7 @@ def by_speed_figure(
         (points[-1][1], points[-1][0], name, colour) for name, points, colour, *_ in curves
     )
     right = max(speeds)
-    for (y, _, name, colour), at in zip(ends, _apart([e[0] for e in ends], 0.042 * high),
+    for (y, _, name, colour), at in zip(ends, apart([e[0] for e in ends], 0.042 * high),
                                         strict=True):  # fmt: skip
         axes.annotate(
             name, (right * 1.003, y), (right * 1.05, at), color=colour, size=9, va="center",

@@ -17,9 +17,6 @@ from derail_ros.vocabulary.params import GRAVITY, BrakeTrigger, Car, TrainParams
 
 F64 = NDArray[np.float64]
 
-COMPOSITION_LIMIT = 80.0 / 3.6
-"""Speed above which a composition shoe's friction stays constant, m/s."""
-
 
 class ModelError(ValueError):
     """A model cannot be run on a train; the message is the reason."""
@@ -161,12 +158,9 @@ class Brakes:
                 return (t > arrival).astype(float)
             return np.clip((t - arrival) / self.rise_time, 0.0, 1.0)
 
-        from derail_ros.engine.laws.brake import CAST_IRON_SCALE
+        from derail_ros.engine.laws.brake import cast_iron_factor, composition_factor
 
-        u = min(abs(v), COMPOSITION_LIMIT)
-        composition = (u + 19.223) / (u + 9.388) * (9.388 / 19.223)
-        w = 3.6 * abs(v)
-        cast = CAST_IRON_SCALE * (w + 100.0) / (w + 20.0)
+        cast, composition = cast_iron_factor(abs(v)), composition_factor(abs(v))
         shoe = np.maximum(rise(self.conventional), t >= self.instant)
         rail = np.maximum(rise(self.traction_limited), t >= self.instant_traction)
         return np.maximum(

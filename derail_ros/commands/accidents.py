@@ -14,7 +14,7 @@ from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.models import known_model
 from derail_ros.commands.options import Jobs, Json, Texts, changes, of_model
-from derail_ros.vocabulary.words import count, finite
+from derail_ros.vocabulary.words import capital, count, finite
 
 if TYPE_CHECKING:
     from derail_ros.baselines.reenact import Counts, Way
@@ -307,4 +307,4 @@ def _class_table(group: Group, classes: Sequence[SpeedClass], outside: int = 0) 
         for c in classes
     ]  # fmt: skip
     heads = ["speed, km/h", "reports", "cars, mean", "its error", "median", "90 %"]
-    return Table(heads, rows, title[0].upper() + title[1:], texts=0)
+    return Table(heads, rows, capital(title), texts=0)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 from derail_ros.commands import common
 from derail_ros.commands.common import CommandFailure
 from derail_ros.commands.options import Jobs, Json, ScenarioNames, Seed, Texts, changes, runs
+
+if TYPE_CHECKING:
+    from derail_ros.studies.spread import Spread
 
 
 def run(
@@ -18,9 +22,29 @@ def run(
     as_json: Json = False,
 ) -> int:
     """Show the distributions of outcomes over many runs of a scenario."""
+    from derail_ros.studies.records import with_status
+    from derail_ros.studies.spread import sentence, spread_table
+
+    spreads = spreads_of(names, settings, members, seed, jobs)
+    if as_json:
+        common.print_json("spread", {"spreads": [one.as_dict() for one in spreads]})
+    else:
+        for one in spreads:
+            common.print_tables(spread_table(one))
+            common.out().print(sentence(one) + "\n")
+    return common.exit_code(*with_status(one.ensemble for one in spreads))
+
+
+def spreads_of(
+    names: Sequence[str] | None,
+    settings: Sequence[str] | None,
+    members: int,
+    seed: int,
+    jobs: int | None,
+) -> list[Spread]:
+    """Run scenarios, beside what is published of them."""
     from derail_ros.studies import spread as s
     from derail_ros.studies.published import load_published
-    from derail_ros.studies.records import with_status
 
     scenarios = [common.load(name, settings) for name in (names or s.DEFAULT)]
     for scenario in scenarios:
@@ -46,10 +70,4 @@ def run(
                     progress=progress,
                 )
             )
-    if as_json:
-        common.print_json("spread", {"spreads": [one.as_dict() for one in spreads]})
-    else:
-        for one in spreads:
-            common.print_tables(s.spread_table(one))
-            common.out().print(s.sentence(one) + "\n")
-    return common.exit_code(*with_status(one.ensemble for one in spreads))
+    return spreads

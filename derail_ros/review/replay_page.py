@@ -24,9 +24,9 @@ from scipy.interpolate import CubicSpline
 from derail_ros.review import drawing, summary
 from derail_ros.review.plots import energy_parts, some
 from derail_ros.review.scene import Scene, final_scene
-from derail_ros.review.summary import capital
 from derail_ros.vocabulary.events import EventKind
 from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
+from derail_ros.vocabulary.words import capital
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun

@@ -17,7 +17,7 @@ from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.ledger import shares, stopped_by
 from derail_ros.vocabulary.measures import NUMERICS, outcome_record, shown_rows
 from derail_ros.vocabulary.status import AT_REST
-from derail_ros.vocabulary.words import finite
+from derail_ros.vocabulary.words import capital, finite
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun
@@ -28,11 +28,6 @@ SCHEMA_VERSION = 2
 """Version of :func:`findings`; 1 had an outcome with keys of its own."""
 NOTABLE = 1.0e6
 """Collisions from here on are part of the timeline, N."""
-
-
-def capital(line: str) -> str:
-    """A line that begins with a capital letter."""
-    return line[:1].upper() + line[1:]
 
 
 def headline(run: RecordedRun) -> list[str]:

@@ -35,7 +35,7 @@ from derail_ros.studies.plan import FigureSpec, shown_value
 from derail_ros.studies.results import StudyResults
 from derail_ros.studies.sentences import shown
 from derail_ros.studies.study_measures import RELATIVE_SEVERITY, measure_of
-from derail_ros.vocabulary.words import count
+from derail_ros.vocabulary.words import capital, count
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -333,7 +333,7 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
         _legend(figure, handles, title=title, alignment="left", title_fontsize=9.5)
     also = [study.words(c) for c in (spec.series, spec.panels) if c is not None]
     ends = " to ".join(shown(spec.y, m) for m in (table["mean"].min(), table["mean"].max()))
-    words = f"{measure.words[0].upper()}{measure.words[1:]} over {study.words(spec.x)}"
+    words = f"{capital(measure.words)} over {study.words(spec.x)}"
     return Drawn(
         f"{spec.y}_over_{spec.x}_{number}" if number else f"{spec.y}_over_{spec.x}",
         spec.title or words,
@@ -510,7 +510,7 @@ def _scatter(results: StudyResults, measure: str) -> Drawn | None:
     _label(panels, None, m.title)
     return Drawn(
         f"{measure}_over_all",
-        f"{m.words[0].upper()}{m.words[1:]} over each parameter",
+        f"{capital(m.words)} over each parameter",
         "Each dot is a run; diamonds are means of equal numbers of runs with their 95 % interval.",
         f"Scatter plots of {m.words} over {', '.join(map(results.study.words, names))}.",
         figure,

@@ -12,7 +12,7 @@ from derail_ros.studies import statistics
 from derail_ros.studies.design import LatinHypercube, OneAtATime, Sobol
 from derail_ros.studies.results import StudyResults
 from derail_ros.studies.study_measures import measure_of
-from derail_ros.vocabulary.words import count, joined
+from derail_ros.vocabulary.words import capital, count, joined
 
 Findings = list[tuple[str, list[str]]]
 
@@ -31,7 +31,7 @@ def findings(results: StudyResults) -> Findings:
         else:
             lines = _ranking(results, measure) + _not_told(results, measure)
         if lines:
-            found.append((_capital(measure_of(measure).words), lines))
+            found.append((capital(measure_of(measure).words), lines))
     return found
 
 
@@ -72,10 +72,6 @@ def _state(results: StudyResults) -> list[str]:
                 "their intervals mean nothing."
             )
     return found
-
-
-def _capital(text: str) -> str:
-    return text[0].upper() + text[1:]
 
 
 def shown(measure: str, value: float, more: int = 0) -> str:
@@ -194,7 +190,7 @@ def _cannot(
     listed = joined(words)
     if any("," in w for w in words):
         listed = "; ".join(words[:-1]) + "; and " + words[-1]
-    text = _capital(f"{subject}{listed} cannot be told apart at {count(n, 'run')} a point")
+    text = capital(f"{subject}{listed} cannot be told apart at {count(n, 'run')} a point")
     everything = np.concatenate(groups)
     if np.ptp(everything) == 0.0:
         m = measure_of(measure)
@@ -263,7 +259,7 @@ def _sobol(results: StudyResults, measure: str) -> list[str]:
     for a, b in zip(single, single[1:], strict=False):
         if b["ST_high"] >= a["ST_low"]:
             found.append(
-                f"{_capital(words(a['parameter']))} and {words(b['parameter'])} cannot be ranked "
+                f"{capital(words(a['parameter']))} and {words(b['parameter'])} cannot be ranked "
                 f"with {a['base_points']} base points: the intervals of their total indices "
                 "overlap."
             )

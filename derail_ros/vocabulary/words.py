@@ -11,6 +11,11 @@ def count(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+def capital(text: str) -> str:
+    """A text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
 def finite(value: float | None, digits: int | None = None) -> float | None:
     """A number as JSON knows it: ``None`` for one that does not exist or is not finite."""
     if value is None:

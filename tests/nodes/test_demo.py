@@ -10,6 +10,7 @@ from rich.console import Console
 from derail_ros import demo
 from derail_ros.recording import record_run
 from derail_ros.recording.reader import read_bag
+from derail_ros.vocabulary.measures import MEASURES
 from tests.nodes.support import SMALL, simulation, small
 
 
@@ -39,11 +40,12 @@ def test_the_table_has_a_line_a_row(last, width) -> None:
     outcome = last["at rest"]
     lines = shown(outcome, demo.SCENARIO, width)
     rows = {line.split("│")[1].strip(): line for line in lines if "│" in line}
-    assert list(rows) == [
-        "cars derailed", "scene", "duration", "largest collision force", "between",
-    ]  # fmt: skip
-    size = rf"{outcome.scene_length:.0f} m × {outcome.scene_width:.0f} m"
-    assert re.search(rf"{size} +│ 132 m × 39 m +│ 109 m × 42 m", rows["scene"])
+    assert list(rows) == [MEASURES[key].title for key in demo.KEYS]
+    for key, size, others in (
+        ("scene_length_m", outcome.scene_length, r"132\.0 +│ 109\.0"),
+        ("scene_width_m", outcome.scene_width, r"39\.0 +│ 41\.7"),
+    ):
+        assert re.search(rf"│ {size:.1f} +│ {others}", rows[MEASURES[key].title])
     assert f"at rest after {outcome.duration:.1f} s" in lines[0]
 
 

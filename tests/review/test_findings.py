@@ -443,7 +443,7 @@ def test_a_run_that_a_command_ended_is_known_by_its_events_too(run: RecordedRun)
 )
 def test_the_number_of_cars_derailed(run: RecordedRun, n, said) -> None:
     few = replace(run, outcome=replace(run.outcome, derailed_cars=tuple(range(1, n + 1))))
-    assert summary.findings(few)["text"].startswith(f"{summary.capital(said)}, ")
+    assert summary.findings(few)["text"].startswith(f"{words.capital(said)}, ")
 
 
 @pytest.mark.parametrize(("prefix", "words"), [("zz", "no run begins with 'zz'")])
