@@ -120,9 +120,9 @@ def collision(run: RecordedRun, contact: Collision) -> Figure:
         axes.set_title(f"{time:.2f} s   {head}", loc="left", fontsize=10, weight="bold", pad=5)
         drawing.scale_inside(axes, window, 0.2)
     note = (
-        f"{run.title}.  {words.capital(contact.touch)};"
-        f" closing at {contact.closing_speed:.1f} m/s,"
-        f" {math.degrees(contact.angle):.0f}° between the cars; {words.energy(contact.energy_lost)} taken out of them."
+        f"{run.title}.  {words.capital(contact.touch)}; closing at"
+        f" {contact.closing_speed:.1f} m/s, {math.degrees(contact.angle):.0f}° between the cars;"
+        f" {words.energy(contact.energy_lost)} taken out of them."
     )
     drawing.heading(figure, f"Car {contact.car_a} strikes car {contact.car_b}", note)
     velocity = {"ls": "-", "color": BLUE, "lw": 1.6, "marker": ">"}
