@@ -33,11 +33,10 @@ from derail_ros.studies.convergence import (
     power,
     shown,
 )
-from derail_ros.studies.drawing import grid_of
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.tables import Strong, Table
 from derail_ros.vocabulary.measures import MEASURES
-from research.pages import Options, document, picture, written_by
+from research.pages import Options, document, grid_of, picture, written_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,7 +25,6 @@ from derail_ros.review.drawing import (
     sheet,
     styled,
 )
-from derail_ros.studies.drawing import PALE
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.sensitivity import (
     COMPARED,
@@ -40,7 +39,7 @@ from derail_ros.studies.sensitivity import (
 )
 from derail_ros.studies.tables import Table
 from derail_ros.studies.validation import Goal
-from research.pages import Options, document, picture, written_by
+from research.pages import PALE, Options, document, picture, written_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from derail_ros.commands.spread import spreads_of
+from derail_ros.commands.model_studies import spreads_of
 from derail_ros.review.drawing import BLUE, VERMILION, dress, heading, sheet, styled
-from derail_ros.studies.drawing import BAND, grid_of
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.records import Distribution
 from derail_ros.studies.spread import Spread, sentence, spread_table
 from derail_ros.studies.tables import Table
-from research.pages import Options, document, picture, written_by
+from research.pages import BAND, Options, document, grid_of, picture, written_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -29,12 +29,12 @@ from derail_ros.review.drawing import (
     sheet,
     styled,
 )
-from derail_ros.studies.drawing import BAND, PALE
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.validation import KEYS, CaseResult, Validation
 from derail_ros.vocabulary.measures import MEASURES
 from derail_ros.vocabulary.words import capital, number_list
 from research.mississauga import Details, PublishedDetails
+from research.pages import BAND, PALE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,11 @@ rails, friction ``mu1``) and over a point ``x = 0`` onto surface 2 (the ground, 
 ``x`` is the distance its front has gone beyond that point; the number of cars derailed is
 ``x_s / l_car`` at the place ``x_s`` where it stops, at most ``n``. The mass of the train cancels.
 
-All functions take scalars or arrays that broadcast together and answer with arrays.
+All functions take scalars or arrays that broadcast together and answer with arrays:
+
+- ``speed`` : v0, m/s; ``cars`` : number of cars n; ``car_length`` : m
+- ``mu1``, ``mu2`` : friction of the rails and of the ground
+- ``ground_length`` : d, m; ``form`` : "published" or "corrected"
 
 Published and corrected forms
 -----------------------------
@@ -154,13 +158,6 @@ def bar_case_1(
 
     ``v0^2 = (g/l) (2 x l mu1 + x^2 (mu2 - mu1))``, see :func:`slide_distance`. The count is cut
     off at the length of the train, which the equation does not contain.
-
-    Parameters
-    ----------
-    speed : v0, m/s
-    cars : number of cars n
-    mu1, mu2 : friction of the rails and of the ground
-    car_length : m
     """
     v, n, lc, m1, m2 = arrays(speed=speed, cars=cars, car_length=car_length, mu1=mu1, mu2=mu2)
     length = n * lc
@@ -229,15 +226,6 @@ def bar_case_2(
 
     As case 1 until ``x = d``, then ``a = ([v^2] - g (mu1 (l - x) + mu2 d)) / (l - x + d)``, the
     ``v^2`` in the published form only (see the head of this file).
-
-    Parameters
-    ----------
-    speed : v0, m/s
-    cars : number of cars n
-    mu1, mu2 : friction of the rails and of the ground
-    car_length : m
-    ground_length : d, m
-    form : "published" or "corrected"
     """
     return _integrate(speed, cars, mu1, mu2, car_length, ground_length, form)
 
@@ -267,19 +255,8 @@ def bar_case_3(
     whole and that fewer than 40 of 100 need mu2 > 2. With the signal's travel this comes out: up
     to 98 cars at 105 km/h (100 at 105.5 km/h), and 40 of 100 at mu2 = 2.06. With all brakes at
     once (``signal_speed=inf``) it does not (64 of 100; mu2 = 1.76), nor in the corrected form
-    (38 of 100 at mu2 = 1).
-
-    Parameters
-    ----------
-    speed : v0, m/s
-    cars : number of cars n
-    mu2 : friction of the ground
-    mu1 : effective friction of the fully braked train at rest
-    car_length : m
-    ground_length : d, m
-    rise_time : t_r, s
-    signal_speed : c, m/s; inf for all brakes at once
-    form : "published" or "corrected"
+    (38 of 100 at mu2 = 1). ``rise_time`` is t_r (s), ``signal_speed`` c (m/s; inf: all brakes at
+    once), ``mu1`` the effective friction of the fully braked train at rest.
     """
     check_brakes(rise_time, signal_speed)
     brakes = (float(rise_time), float(signal_speed))

@@ -1,1 +1,1 @@
-"""What stands behind the commands of ``derail``: one module a command, imported when it runs."""
+"""The commands of ``derail``, as functions whose parameters are the options."""

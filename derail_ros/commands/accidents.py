@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,6 +55,7 @@ def run(
     as_json: Json = False,
 ) -> int:
     """Show the cars derailed in reported accidents; run models on the same trains."""
+    from derail_ros.baselines.reenact import mean_report, sample
     from derail_ros.studies.accidents import (
         BROKEN_RAIL,
         CLASSES_TEXT,
@@ -80,7 +81,9 @@ def run(
     if not paths:
         statistics = load_statistics()
         if names:
-            return _run_mean_trains(statistics, group, names, settings, jobs, as_json)
+            classes = _with_mass(statistics, group)
+            trains = [mean_report(c) for c in classes]
+            return _run_models(trains, classes, group, names, settings, jobs, as_json)
         if group != Group():
             raise CommandFailure(
                 "options that choose reports need files of reports (docs/accidents.md says where "
@@ -95,14 +98,10 @@ def run(
     if not classes:
         raise CommandFailure(f"{files}: no report of a speed of {CLASSES_TEXT}: {group.words}")
     if names:
-        from derail_ros.baselines.reenact import sample
-
         trains = sample(found, most, seed)
         if not trains:
-            raise CommandFailure(
-                f"{files}: no report has a weight that can be right: {group.words}"
-            )
-        return _run_models(trains, group, names, settings, jobs, as_json)
+            raise CommandFailure(f"{files}: no report has a plausible weight: {group.words}")
+        return _run_models(trains, (), group, names, settings, jobs, as_json)
     outside = len(found) - sum(c.reports for c in classes)
     if as_json:
         common.print_json(
@@ -159,116 +158,93 @@ def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
     return [Way(name, name, overrides) for name in dict.fromkeys(models)]
 
 
-def _reenact(trains: Sequence[Report], ways: Sequence[Way], jobs: int | None) -> Counts:
-    from derail_ros.baselines.reenact import reenact
+def _run_models(
+    trains: Sequence[Report],
+    classes: Sequence[SpeedClass],
+    group: Group,
+    models: Sequence[str],
+    settings: list[str],
+    jobs: int | None,
+    as_json: bool,
+) -> int:
+    """Run trains of reports, or the mean trains of ``classes``; the exit code."""
+    from derail_ros.baselines.reenact import failed_runs, reenact
     from derail_ros.vocabulary.errors import ParameterError
 
+    ways = _ways(models, settings)
     with common.counting_runs("accidents") as progress:
         try:
-            return reenact(trains, ways, jobs=jobs, progress=progress)
+            counts = reenact(trains, ways, jobs=jobs, progress=progress)
         except ParameterError as error:
             raise CommandFailure(f"base_train: {error}") from None
-
-
-def _code(counts: Counts) -> int:
-    from derail_ros.baselines.reenact import failed_runs
-
+    if as_json:
+        found = _mean_trains(trains, classes, counts) if classes else _agreement(trains, counts)
+        common.print_json("accidents", {"group": group.words, "settings": settings, **found})
+    else:
+        what = "of mean trains" if classes else f"means of {count(len(trains), 'train')}"
+        tables = _tables(trains, classes, counts)
+        title = ", ".join([f"Cars derailed, {what}: {group.words}", *settings])
+        common.print_tables(replace(tables[0], title=title), *tables[1:])
     failed = failed_runs(counts)
     if failed:
         note(f"derail: {count(failed, 'run')} failed")
     return FAILED if failed else OK
 
 
-def _run_models(
-    trains: Sequence[Report],
-    group: Group,
-    models: Sequence[str],
-    settings: Sequence[str],
-    jobs: int | None,
-    as_json: bool,
-) -> int:
-    """Run trains of reports."""
+def _tables(
+    trains: Sequence[Report], classes: Sequence[SpeedClass], counts: Counts
+) -> list[Table]:
     from derail_ros.baselines import reenact as r
-
-    counts = _reenact(trains, _ways(models, settings), jobs)
-    if as_json:
-        classes = [
-            {
-                "trains": n,
-                "speed_kmh": speed,
-                "reported": {"mean": own.mean, "error": own.error},
-                "models": {label: _plain(c) for label, c in means.items()},
-            }
-            for n, speed, own, means in r.averages(trains, counts)
-        ]
-        agreement = {label: _plain(r.agreement(trains, v)) for label, v in counts.items()}
-        speeds = [train.speed_kmh for train in trains]
-        common.print_json(
-            "accidents",
-            {
-                "group": group.words,
-                "settings": list(settings),
-                "classes": classes,
-                "agreement": agreement,
-                "class_mean": _plain(r.agreement(trains, r.means_of_classes(trains))),
-                "rank_speed": finite(r.rank_correlation(trains, speeds)),
-            },
-        )
-    else:
-        title = f"Cars derailed, means of {count(len(trains), 'train')}"
-        common.out().print(_titled(title, group, settings), soft_wrap=True)
-        common.print_tables(r.averages_table(trains, counts), r.agreement_table(trains, counts))
-    return _code(counts)
-
-
-def _titled(title: str, group: Group, settings: Sequence[str]) -> str:
-    return ", ".join([f"{title}: {group.words}", *settings])
-
-
-def _run_mean_trains(
-    statistics: Statistics,
-    group: Group,
-    models: Sequence[str],
-    settings: Sequence[str],
-    jobs: int | None,
-    as_json: bool,
-) -> int:
-    """Run the mean trains of the shipped averages."""
-    from derail_ros.baselines.reenact import MeanCount, mean_report
-    from derail_ros.studies.accidents import GROUPS
     from derail_ros.studies.tables import Table
 
-    name = next((name for name, known in GROUPS.items() if known == group), None)
-    if name is None:
-        raise CommandFailure(
-            f"there are no averages of: {group.words}; there are those of: "
-            f"{'; '.join(g.words for g in GROUPS.values())}. For others name the files of reports"
-        )
-    classes = [c for c in statistics.groups[name] if c.mass_kg is not None]
-    trains = [mean_report(c) for c in classes]
-    counts = _reenact(trains, _ways(models, settings), jobs)
-    rows: list[Any] = []
+    if not classes:
+        return [r.averages_table(trains, counts), r.agreement_table(trains, counts)]
+    rows = []
     for k, (c, t) in enumerate(zip(classes, trains, strict=True)):
-        found = {label: values[k] for label, values in counts.items()}
-        if as_json:
-            reported = {"mean": c.mean, "error": c.error, "reports": c.reports}
-            rows.append(
-                {"cars": t.cars, "mass_kg": t.mass_kg, "speed_kmh": t.speed_kmh,
-                 "reported": reported, "models": found}
-            )  # fmt: skip
-        else:
-            numbers = [f"{t.speed_kmh:.0f}", str(t.cars), f"{(t.mass_kg or 0.0) * 1e-3:.0f}"]
-            reported = [str(c.reports), str(MeanCount(c.mean, c.error))]
-            theirs = ["-" if v is None else f"{v:.0f}" for v in found.values()]
-            rows.append([*numbers, *reported, *theirs])
-    if as_json:
-        report = {"group": group.words, "settings": list(settings), "mean_trains": rows}
-        common.print_json("accidents", report)
-    else:
-        title = _titled("Cars derailed of mean trains", group, settings)
-        heads = ["speed, km/h", "cars", "t a car", "reports", "reported", *counts]
-        common.print_tables(Table(heads, rows, title, texts=0))
-    return _code(counts)
+        numbers = [f"{t.speed_kmh:.0f}", str(t.cars), f"{(t.mass_kg or 0.0) * 1e-3:.0f}"]
+        reported = [str(c.reports), str(r.MeanCount(c.mean, c.error))]
+        theirs = ["-" if v[k] is None else f"{v[k]:.0f}" for v in counts.values()]
+        rows.append([*numbers, *reported, *theirs])
+    heads = ["speed, km/h", "cars", "t a car", "reports", "reported", *counts]
+    return [Table(heads, rows, texts=0)]
+
+
+def _mean_trains(
+    trains: Sequence[Report], classes: Sequence[SpeedClass], counts: Counts
+) -> dict[str, Any]:
+    """The counts of mean trains, for JSON."""
+    rows = [
+        {
+            "cars": t.cars,
+            "mass_kg": t.mass_kg,
+            "speed_kmh": t.speed_kmh,
+            "reported": {"mean": c.mean, "error": c.error, "reports": c.reports},
+            "models": {label: values[k] for label, values in counts.items()},
+        }
+        for k, (c, t) in enumerate(zip(classes, trains, strict=True))
+    ]
+    return {"mean_trains": rows}
+
+
+def _agreement(trains: Sequence[Report], counts: Counts) -> dict[str, Any]:
+    """How counts of single trains agree with the reported ones, for JSON."""
+    from derail_ros.baselines import reenact as r
+
+    classes = [
+        {
+            "trains": n,
+            "speed_kmh": speed,
+            "reported": {"mean": own.mean, "error": own.error},
+            "models": {label: _plain(c) for label, c in means.items()},
+        }
+        for n, speed, own, means in r.averages(trains, counts)
+    ]
+    return {
+        "classes": classes,
+        "agreement": {label: _plain(r.agreement(trains, v)) for label, v in counts.items()},
+        "class_mean": _plain(r.agreement(trains, r.means_of_classes(trains))),
+        "rank_speed": finite(r.rank_correlation(trains, [t.speed_kmh for t in trains])),
+    }
 
 
 def _plain(value: Any) -> dict[str, float | int | None]:
@@ -277,6 +253,19 @@ def _plain(value: Any) -> dict[str, float | int | None]:
         key: None if isinstance(x, float) and math.isnan(x) else x
         for key, x in asdict(value).items()
     }
+
+
+def _with_mass(statistics: Statistics, group: Group) -> list[SpeedClass]:
+    """The shipped averages of a group of which a mass is known."""
+    from derail_ros.studies.accidents import GROUPS
+
+    for name, known in GROUPS.items():
+        if known == group:
+            return [c for c in statistics.groups[name] if c.mass_kg is not None]
+    raise CommandFailure(
+        f"no averages are shipped for: {group.words}. There are: "
+        f"{'; '.join(g.words for g in GROUPS.values())}. For others, name files of reports"
+    )
 
 
 def _shipped(statistics: Statistics, as_json: bool) -> int:

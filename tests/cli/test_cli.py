@@ -145,8 +145,8 @@ def test_interrupted(number, jobs, small):
     ],
 )
 def test_a_film_of_nothing_is_refused_in_the_words_that_were_asked(start, end, words):
-    from derail_ros.commands.animate import check_times
     from derail_ros.commands.common import CommandFailure
+    from derail_ros.commands.recordings import check_times
 
     with pytest.raises(CommandFailure) as info:
         check_times(start, end, 0.0, 26.72)
@@ -155,7 +155,7 @@ def test_a_film_of_nothing_is_refused_in_the_words_that_were_asked(start, end, w
 
 @pytest.mark.parametrize("times", [(None, None), (26.0, 60.0), (-1.0, 0.1)])
 def test_a_film_of_something_is_not_refused(times):
-    from derail_ros.commands.animate import check_times
+    from derail_ros.commands.recordings import check_times
 
     check_times(*times, 0.0, 26.72)
 

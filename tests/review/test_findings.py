@@ -464,7 +464,7 @@ def test_the_rear_part_is_one_only_where_the_train_parted(run) -> None:
 
 
 def test_a_run_of_one_moment_is_drawn_without_a_word(run, tmp_path) -> None:
-    from derail_ros.commands.review import write_figures
+    from derail_ros.commands.recordings import write_figures
 
     first = {
         name: getattr(run, name)[:1]

@@ -415,7 +415,7 @@ def test_reports_of_other_speeds_are_counted_beside_the_classes(tmp_path, capsys
 @pytest.mark.parametrize(
     ("other", "words"),
     [({"TRNSPD": "5"}, "no report of a speed of 8 to 145 km/h: all causes"),
-     ({"TONS": "0"}, "no report has a weight that can be right: all causes")],
+     ({"TONS": "0"}, "no report has a plausible weight: all causes")],
     ids=str,
 )  # fmt: skip
 def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words):
@@ -428,7 +428,7 @@ def test_no_train_to_run_is_told_with_its_reason(tmp_path, capsys, other, words)
     ("arguments", "word"),
     [
         (["--broken-rail"], "need files of reports"),
-        (["-m", "planar", "--behind", "7"], "there are no averages of: all causes, 7 or more"),
+        (["-m", "planar", "--behind", "7"], "no averages are shipped for: all causes, 7 or more"),
         (["-m", "planar", "--set", "brakes.delay=3"], "brakes.delay: unknown key"),
         (["--set", "brakes.delay_s=3"], "--set: changes the trains that --model runs"),
         (["{many}", "--broken-rail", "--cause", "T207"], "--broken-rail and --cause"),

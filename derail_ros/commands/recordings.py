@@ -1,0 +1,396 @@
+"""What ``derail`` does with recordings: review, export, compare, animate, play, repair, replay."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from derail_ros.commands import common
+from derail_ros.commands.common import FAILED, OK, CommandFailure, note
+from derail_ros.commands.options import Bag, Json, Namespace, NewDir, WhichRun, written
+from derail_ros.vocabulary.words import count
+
+if TYPE_CHECKING:
+    from derail_ros.recording.manifest import Manifest
+    from derail_ros.recording.recorded_run import RecordedRun
+    from derail_ros.recording.run_messages import RunMessages
+
+
+def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> RecordedRun:
+    """Read a recording; what is wrong with it goes to stderr.
+
+    Raises
+    ------
+    CommandFailure
+        If it cannot be read.
+    """
+    from derail_ros.recording.reader import read_bag
+
+    with bag_errors():
+        found = read_bag(path, run, namespace)
+    warn(found.warnings, found.path)
+    return found
+
+
+@contextmanager
+def bag_errors() -> Iterator[None]:
+    """Turn what is wrong with a recording or a disk into a line for the user."""
+    from derail_ros.recording.storage import BagError
+
+    try:
+        yield
+    except BagError as error:
+        raise CommandFailure(str(error)) from None
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        raise CommandFailure(f"{place}{error.strerror or error}") from None
+
+
+def warn(warnings: Iterable[str], path: Path) -> None:
+    """Print warnings on a recording."""
+    for warning in warnings:
+        note(f"derail: warning: {path}: {warning}")
+
+
+def review(
+    bag: Bag,
+    output: NewDir,
+    run: WhichRun = None,
+    namespace: Namespace = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    replay: Annotated[bool, typer.Option(help="Write the replay page.")] = True,
+    as_json: Json = False,
+) -> int:
+    """Summarize a recording: text, JSON, figures and a replay page."""
+    from derail_ros.review import summary
+
+    found = read(bag, run, namespace)
+    output = common.output_directory(output)
+    facts = summary.findings(found)
+    with bag_errors():
+        common.write_json(output / "summary.json", facts)
+        text = summary.text(found, facts)
+        (output / "summary.txt").write_text(text, encoding="utf-8")
+        written = ["summary.txt", "summary.json"]
+        if replay:
+            from derail_ros.review import replay_page as page
+
+            page.write(found, output / "replay.html", facts)
+            written.append("replay.html")
+        if figures:
+            written += write_figures(found, output)
+    if as_json:
+        common.print_json("review", facts)
+        return OK
+    print(found.title)
+    for sentence in summary.headline(found):
+        print(sentence)
+    print(f"in {output}: {', '.join(written)}")
+    return OK
+
+
+def write_figures(found: RecordedRun, output: Path) -> list[str]:
+    """Draw the figures of a run and return their names."""
+    from derail_ros.review import drawing, figures, plots
+    from derail_ros.review.scene import final_scene
+
+    paths = figures.save_outcome(final_scene(found), found.outcome, output)
+    drawn = {
+        f"collision_{k}": plots.collision(found, c)
+        for k, c in enumerate(plots.main_collisions(found), 1)
+    }
+    drawn["speeds"] = plots.speeds(found)
+    drawn["energy"] = plots.energy_over_time(found)
+    drawn["space_time"] = plots.space_time(found)
+    paths += [drawing.save(f, output / f"{name}.png") for name, f in drawn.items() if f]
+    return [path.name for path in paths]
+
+
+def export(
+    bag: Bag,
+    output: NewDir,
+    form: Annotated[str, typer.Option("--format", help="csv or parquet.")] = "csv",
+    run: WhichRun = None,
+    namespace: Namespace = None,
+) -> int:
+    """Write the histories of the cars in a recording as tables."""
+    from derail_ros.review.histories import FORMATS, export
+
+    if form not in FORMATS:
+        raise CommandFailure(f"--format: {' or '.join(FORMATS)}, not {form!r}")
+    if form == "parquet":
+        try:
+            import pyarrow  # noqa: F401
+        except ImportError:
+            raise CommandFailure(
+                "--format parquet needs pyarrow: pip install 'derail_ros[studies]'"
+            ) from None
+    found = read(bag, run, namespace)
+    output = common.output_directory(output)
+    with bag_errors():
+        counts = export(found, output, form)
+    for name, rows in counts.items():
+        print(f"{output / name}  {rows} rows")
+    return OK
+
+
+def compare(
+    first: Bag,
+    second: Bag,
+    output: Annotated[Path | None, written("Write text, JSON and both scenes there.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Compare two recordings: measures, scenes and events."""
+    from derail_ros.review import comparison
+
+    a, b = read(first), read(second)
+    if output is not None:
+        output = common.output_directory(output)
+    facts = comparison.compare(a, b)
+    text = comparison.text(facts)
+    if output is not None:
+        from derail_ros.review.drawing import save
+
+        with bag_errors():
+            common.write_json(output / "comparison.json", facts)
+            (output / "comparison.txt").write_text(
+                comparison.text(facts, most=1000), encoding="utf-8"
+            )
+            save(comparison.scenes(a, b), output / "scenes.png")
+    if as_json:
+        common.print_json("comparison", facts)
+        return OK
+    print(text, end="")
+    if output is not None:
+        print(f"\nin {output}: comparison.txt, comparison.json, scenes.png")
+    return OK
+
+
+def check_times(start: float | None, end: float | None, first: float, last: float) -> None:
+    """Refuse a stretch of time that holds nothing of a recording from ``first`` to ``last``, s."""
+    runs = f"the recording runs from {first:g} s to {last:g} s"
+    if start is not None and not start < last:
+        raise CommandFailure(f"--start: {start:g} s is not before its end: {runs}")
+    if end is not None and not end > first:
+        raise CommandFailure(f"--end: {end:g} s is not after its beginning: {runs}")
+    if start is not None and end is not None and not start < end:
+        raise CommandFailure(f"--end: {end:g} s is not after --start, {start:g} s")
+
+
+def animate(
+    bag: Bag,
+    output: Annotated[Path, written("Film to write; its name ends in .mp4 or .gif.", "FILE")],
+    run: WhichRun = None,
+    namespace: Namespace = None,
+    fps: Annotated[
+        int | None, typer.Option(min=1, max=60, help="Pictures per second [20; GIF: 8].")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Recorded time per time of the film [1; GIF: 2].")
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=320, max=3840, help="Width, pixels [960; GIF: 640].")
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="Begin at this time, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="End at this time, s.")] = None,
+) -> int:
+    """Make a film of a recording, seen from above."""
+    from derail_ros.review.film import FilmError, film, kind_of
+
+    try:
+        kind_of(output)
+        found = read(bag, run, namespace)
+        check_times(start, end, float(found.time[0]), float(found.time[-1]))
+        with bag_errors(), common.progress(*common.counting_columns()) as bars:
+            output.parent.mkdir(parents=True, exist_ok=True)
+            task = bars.add_task(output.name, total=None)
+
+            def tell(done: int, total: int) -> None:
+                bars.update(task, completed=done, total=total)
+
+            count = film(found, output, fps, rate, width, start, end, tell)
+    except FilmError as error:
+        raise CommandFailure(str(error)) from None
+    print(f"{output}: {count} pictures, {output.stat().st_size / 1e6:.1f} MB")
+    return OK
+
+
+def play(
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help="Recorded time per wall time.")] = 1.0,
+    start: Annotated[float, typer.Option(help="Begin this long after the beginning, s.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Wait for the service resume.")] = False,
+    clock: Annotated[bool, typer.Option(help="Publish /clock.")] = True,
+) -> int:
+    """Publish a recording on a ROS 2 graph, with the node player."""
+    from derail_ros.recording.storage import open_bag
+
+    if not math.isfinite(rate) or rate <= 0.0:
+        raise CommandFailure(f"--rate: must be above zero, got {rate:g}")
+    if not math.isfinite(start) or start < 0.0:
+        raise CommandFailure(f"--start: must be zero or above, got {start:g}")
+    with bag_errors():
+        found = open_bag(bag)
+    if not found.intact:
+        raise CommandFailure(f"{bag}: is cut off; repair it with `derail repair {bag}`")
+    try:
+        import rclpy  # noqa: F401
+    except ImportError:
+        raise CommandFailure(
+            "play needs ROS 2 (rclpy); without it, `derail review` makes a page that plays",
+            FAILED,
+        ) from None
+    from derail_ros.nodes.player import main
+
+    parameters = {
+        "rate": rate,
+        "start_offset": start,
+        "loop": loop,
+        "start_paused": paused,
+        "publish_clock": clock,
+    }
+    arguments = ["--ros-args", "-p", f"path:='{str(found.path).replace(chr(39), chr(39) * 2)}'"]
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(float(value))
+        arguments += ["-p", f"{name}:={text}"]
+    return main(arguments)
+
+
+def repair(
+    bag: Bag,
+    output: Annotated[
+        Path | None, written("New folder for the repaired recording; default: BAG_repaired.")
+    ] = None,
+) -> int:
+    """Write a whole recording from one whose recorder was killed."""
+    from derail_ros.recording.repair import repair
+
+    with bag_errors():
+        done = repair(bag, output)
+    warn(done.warnings, Path(bag))
+    total = sum(done.counts.values())
+    if done.was_whole:
+        print(
+            f"{done.path}: whole, with {count(total, 'message')}: "
+            "nothing to repair, nothing written"
+        )
+        return OK
+    print(
+        f"{done.path}: {count(total, 'message')} on {count(len(done.counts), 'topic')},"
+        f" {done.span[0] * 1e-9:.2f} s to {done.span[1] * 1e-9:.2f} s"
+    )
+    return OK
+
+
+def replay(
+    bag: Annotated[
+        str, typer.Argument(help="A recording: its folder, a file of it, or its manifest.json.")
+    ],
+    as_json: Json = False,
+) -> int:
+    """Compute recorded runs again, with their commands, and compare them to the bit.
+
+    The exit code is 3 if anything differs.
+    """
+    from derail_ros.recording.recomputation import engine_differs, recompute
+    from derail_ros.scenario import ScenarioError
+    from derail_ros.vocabulary.errors import ParameterError
+
+    manifest, recorded = _found(Path(bag))
+    other = engine_differs(manifest)
+    if other:
+        note("derail: another version of the engine computed this: the bits may differ")
+    common.warm_up()
+    try:
+        results = recompute(manifest, recorded)
+    except (ScenarioError, ParameterError, KeyError, TypeError, IndexError) as error:
+        raise CommandFailure(f"{bag}: {error}") from None
+    same = not any(result.differences for result in results)
+    if as_json:
+        common.print_json(
+            "replay",
+            {
+                "same": same,
+                "same_engine": not other,
+                "runs": [result.plain() for result in results],
+            },
+        )
+    else:
+        for result in results:
+            print(_recomputed(result))
+            for difference in result.differences:
+                print(f"  {difference}")
+    return OK if same else FAILED
+
+
+def _found(path: Path) -> tuple[Manifest, dict[str, RunMessages] | None]:
+    """Manifest and messages at a place: a recording as all commands take it, or a manifest.
+
+    Of a recording without the file its messages tell scenario and commands.
+    """
+    from derail_ros.recording.decoding import check_version
+    from derail_ros.recording.manifest import FILE_NAME
+    from derail_ros.recording.recomputation import collect
+    from derail_ros.recording.storage import BagError, NotABagError, open_bag
+
+    if path.suffix == ".json":
+        manifest = _manifest(path)
+        try:
+            return manifest, collect(open_bag(path.parent)).runs
+        except BagError:
+            return manifest, None
+    try:
+        raw = open_bag(path)
+    except NotABagError as error:
+        if (path / FILE_NAME).is_file():
+            return _manifest(path / FILE_NAME), None
+        raise CommandFailure(str(error)) from None
+    except BagError as error:
+        raise CommandFailure(str(error)) from None
+    with bag_errors():
+        check_version(raw)
+        found = collect(raw)
+    beside = raw.path / FILE_NAME  # one beside a file alone may be that of another
+    if raw.path.is_dir() and beside.is_file():
+        manifest = _manifest(beside)
+    else:
+        manifest = found.manifest()
+        if manifest.settings.get("gathered"):
+            note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
+    if not manifest.runs:
+        raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
+    return manifest, found.runs
+
+
+def _manifest(path: Path) -> Manifest:
+    from derail_ros.recording.manifest import Manifest
+
+    try:
+        return Manifest.from_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CommandFailure(f"{path}: {error.strerror or error}") from None
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise CommandFailure(f"{path}: not the manifest of a recording: {error}") from None
+
+
+def _recomputed(result: Any) -> str:
+    text = (
+        f"{result.run_id[:8]} {result.scenario}: {count(result.commands, 'command')}, "
+        f"{count(result.steps, 'step')}, {result.time:.3f} s, {result.status}: "
+    )
+    if result.differences:
+        return text + "differs"
+    proofs = []
+    if result.same_state:
+        proofs.append("the final state")
+    if result.events is not None:
+        proofs.append(f"{count(result.events, 'event')} and {count(result.contacts, 'contact')}")
+    if not proofs:
+        return text + "computed again; nothing was recorded to compare with"
+    return text + " and ".join(proofs) + " are the same to the bit"
