@@ -541,11 +541,11 @@ class AndersonModel:
         for name in ("stiffness", "force_limit", "friction", "max_step"):
             value = getattr(self.own, name)
             if not (math.isfinite(value) and value > 0.0):
-                raise ParameterError(f"anderson.{name}", f"must be above 0, not {value:g}")
+                raise ParameterError(f"anderson.{name}", f"must be above 0, got {value:g}")
         for name, high in (("damping", math.inf), ("restitution", 1.0)):
             value = getattr(self.own, name)
             if not 0.0 <= value <= high or not math.isfinite(value):
-                raise ParameterError(f"anderson.{name}", f"is out of its range: {value:g}")
+                raise ParameterError(f"anderson.{name}", f"is out of range, got {value:g}")
         self.params = params
         start = PlanarSimulation(params)
         self.track = start.track

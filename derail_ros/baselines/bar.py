@@ -93,16 +93,16 @@ def arrays(**arguments: ArrayLike) -> list[F64]:
         bad = ~np.isfinite(array) | ((array <= 0.0) if positive else (array < 0.0))
         if np.any(bad):
             rule = "positive" if positive else "zero or positive"
-            raise ValueError(f"{name}: must be {rule} and finite, not {array[bad].flat[0]:g}")
+            raise ValueError(f"{name}: must be {rule} and finite, got {array[bad].flat[0]:g}")
     return [np.array(a, dtype=float) for a in np.broadcast_arrays(*arguments.values())]
 
 
 def check_brakes(rise_time: float, signal_speed: float) -> None:
     """Refuse times and speeds that no brake has."""
     if not np.isfinite(rise_time) or rise_time < 0.0:
-        raise ValueError(f"rise_time: must be zero or positive and finite, not {rise_time:g}")
+        raise ValueError(f"rise_time: must be zero or positive and finite, got {rise_time:g}")
     if not signal_speed > 0.0:
-        raise ValueError(f"signal_speed: must be positive, not {signal_speed:g}")
+        raise ValueError(f"signal_speed: must be positive, got {signal_speed:g}")
 
 
 def slide_distance(speed: ArrayLike, length: ArrayLike, mu1: ArrayLike, mu2: ArrayLike) -> F64:
@@ -208,7 +208,7 @@ def limiting_speed(
 
 def _form(form: str) -> Form:
     if form not in FORMS:
-        raise ValueError(f"form: must be one of {', '.join(FORMS)}, not {form!r}")
+        raise ValueError(f"form: must be one of {', '.join(FORMS)}, got {form!r}")
     return form  # type: ignore[return-value]
 
 

@@ -123,7 +123,7 @@ def roorda_gracie(
     """
     for name, value in (("friction", friction), ("increment", increment)):
         if not (np.isfinite(value) and value > 0.0):
-            raise ModelError(f"{name}: must be positive, not {value:g}")
+            raise ModelError(f"{name}: must be positive, got {value:g}")
     n = train.n
     mass = train.masses()
     ahead, behind = train.reach()

@@ -128,7 +128,9 @@ def derailing_train(params: TrainParams) -> Train:
     elif meets:
         run_up, first, point = min(meets)
     else:
-        raise ModelError("nothing derails: no truck starts derailed and no rail break is met")
+        raise ModelError(
+            "nothing derails: no truck starts derailed and the train reaches no rail break"
+        )
     cars = take_apart(params.cars[first:])
     count = 0
     while first + count in derailed:

@@ -51,7 +51,7 @@ def run(
 
     model = known_model(model)
     if roll and not MODELS[model].rolls:
-        raise CommandFailure(f"--roll: {model} parts no coupling; no car of it comes free")
+        raise CommandFailure(f"--roll: couplings never part in {model}, so no car is free to roll")
     params = scenario.to_params()
     members = ensemble or 1
     if members > 1 and not MODELS[model].varied:

@@ -122,7 +122,7 @@ def export(
     from derail_ros.review.histories import FORMATS, export
 
     if form not in FORMATS:
-        raise CommandFailure(f"--format: {' or '.join(FORMATS)}, not {form!r}")
+        raise CommandFailure(f"--format: must be {' or '.join(FORMATS)}, got {form!r}")
     if form == "parquet":
         try:
             import pyarrow  # noqa: F401

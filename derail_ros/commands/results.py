@@ -217,7 +217,7 @@ def _counts(report: Record) -> str:
     """How many runs there were, and which of them did not count."""
     text = count(report["members"], "run")
     if report["void"]:
-        text += f", {report['void']} void and left out"
+        text += f", {report['void']} void and not counted"
     if report["failed"]:
         text += f", {report['failed']} failed"
     cut_off = sum(r["status"] == TIME_LIMIT for r in report["outcomes"])

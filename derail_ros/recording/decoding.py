@@ -105,7 +105,7 @@ def check_version(bag: RawBag) -> None:
         )
     for channel in ours:
         if not is_known(channel):
-            bag.warn(f"{channel.topic} is left out: {channel.msgtype} is not known here")
+            bag.warn(f"{channel.topic} was skipped: unknown type {channel.msgtype}")
             continue
         try:
             version_of(channel)
@@ -135,5 +135,5 @@ def namespace_of(channels: Collection[Channel], namespace: str | None) -> tuple[
     wanted = "/" + namespace.strip("/") if namespace.strip("/") else ""
     if wanted not in found:
         there = ", ".join(f"{n or '/'}" for n in found)
-        raise OtherTopicsError(f"no train in namespace {wanted or '/'}; there are: {there}")
+        raise OtherTopicsError(f"no train in namespace {wanted or '/'}; found: {there}")
     return wanted, found

@@ -120,9 +120,9 @@ class Manifest:
             raise ValueError("not JSON") from None
         form = data.get("format") if isinstance(data, dict) else None
         if form != FORMAT:
-            raise ValueError(f"its format is {form!r}, not {FORMAT!r}")
+            raise ValueError(f"its format must be {FORMAT!r}, got {form!r}")
         if data.get("version") not in (1, VERSION):
-            raise ValueError(f"its version is {data.get('version')!r}, not 1 or {VERSION}")
+            raise ValueError(f"its version must be 1 or {VERSION}, got {data.get('version')!r}")
         data["runs"] = [RunEntry(**run) for run in data["runs"]]
         return cls(**data)
 

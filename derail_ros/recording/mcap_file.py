@@ -175,7 +175,7 @@ class Scan:
             inner = _unpacked(data, whole)
         except Exception as error:  # damage may take any form
             if whole:
-                self._warn(f"a damaged part was left out ({one_line(error)})")
+                self._warn(f"skipped a damaged part ({one_line(error)})")
             return
         yield from ((op, content) for op, content, complete in _walk(BytesIO(inner)) if complete)
 

@@ -68,13 +68,13 @@ class _Reader:
         runs = self.collector.runs
         run_ids = [k for k, m in runs.items() if m.consist or m.events or m.outcome]
         if not run_ids:
-            raise OtherTopicsError(f"{self.bag.path}: a recording without a run in it")
+            raise OtherTopicsError(f"{self.bag.path}: the recording contains no run")
         run_id = self._choose(run_ids, run)
         self._pass(lambda c: is_known(c) and c.kind in STATES, only=run_id)
         if broken := self.collector.broken:
             self.bag.warn(f"{count(broken, 'message')} cannot be read")
         if implausible := self.collector.implausible:
-            self.bag.warn(f"{count(implausible, 'message')} with impossible numbers left out")
+            self.bag.warn(f"{count(implausible, 'message')} with impossible numbers skipped")
         return self._assemble(run_id, run_ids, runs[run_id])
 
     def _pass(self, wanted: Callable[[Channel], bool], only: str | None = None) -> None:
@@ -105,13 +105,15 @@ class _Reader:
             number = int(run)
             index = number - 1 if number > 0 else number + len(run_ids)
             if number == 0 or not 0 <= index < len(run_ids):
-                raise OtherTopicsError(f"{path}: no run {number}; there are {len(run_ids)}")
+                raise OtherTopicsError(
+                    f"{path}: no run {number}; the recording has {len(run_ids)}"
+                )
             return run_ids[index]
         found = [r for r in run_ids if r.startswith(run)]
         if len(found) != 1:
             many = f"{len(found)} runs begin" if found else "no run begins"
             known = ", ".join(r[:8] for r in run_ids)
-            raise OtherTopicsError(f"{path}: {many} with {run!r}; there are {known}")
+            raise OtherTopicsError(f"{path}: {many} with {run!r}; the recording has {known}")
         return found[0]
 
     # --- putting together ---------------------------------------------------------------------
@@ -134,16 +136,16 @@ class _Reader:
         time, pose, velocity, coupler_yaw, truck_on, brake, corner, stamp = got.states.columns()
         if pose.shape[1] != n:
             raise OtherTopicsError(
-                f"{bag.path}: states of {count(pose.shape[1], 'car')}, but a consist of {n}"
+                f"{bag.path}: the states have {count(pose.shape[1], 'car')}, the consist has {n}"
             )
         if got.line is None:
-            bag.warn("no track: a straight one is assumed")
+            bag.warn("no track: assuming a straight one")
         _drop_unknown_cars(got, n, int(cars.represents.sum()))
         self._count_missing(got.events, "event")
         self._count_missing(got.collisions, "collision")
         events = tuple(sorted(got.events.values(), key=lambda e: e.time))
         if got.states.every > 1:
-            bag.warn(f"long: of the states every {got.states.every}th is shown")
+            bag.warn(f"long recording: only every {got.states.every}th state is shown")
         else:
             self._count_gaps(time)
         scenario = _scenario(consist.scenario_yaml, bag)
@@ -194,11 +196,11 @@ class _Reader:
         if outcome is None or not outcome.final or len(outcome.pose) != n:
             outcome = derive_outcome(run, outcome)
             if outcome.final:
-                bag.warn("no final outcome: it is worked out from states, events and collisions")
+                bag.warn("no final outcome: computed from states, events and collisions")
             else:
                 bag.warn(
-                    "the end of the run is not in it: it stands as at"
-                    f" {outcome.time:.2f} s, the last moment recorded"
+                    "the recording ends before the run: the outcome is that at"
+                    f" {outcome.time:.2f} s, the last recorded moment"
                 )
         outcome = replace(outcome, train=cars.totals)
         return replace(run, outcome=outcome, warnings=tuple(bag.warnings))
@@ -212,7 +214,7 @@ class _Reader:
                 index = np.clip(np.searchsorted(when, time + 1e-9) - 1, 0, len(when) - 1)
                 return np.asarray(table[index], dtype=bool)
         elif n > 1:
-            self.bag.warn("no coupler states: couplings are known from the events only")
+            self.bag.warn("no coupler states: couplings are taken from the events")
         return derive_couplings(events, time, n)
 
     def _count_missing(self, numbered: dict[int, Any], noun: str) -> None:

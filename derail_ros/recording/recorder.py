@@ -77,7 +77,7 @@ class RunRecorder:
         late: float = LATE,
     ) -> None:
         if storage not in STORAGE:
-            raise RecordingError(f"storage must be one of {', '.join(STORAGE)}, not {storage!r}")
+            raise RecordingError(f"storage must be one of {', '.join(STORAGE)}, got {storage!r}")
         self.path = Path(path)
         self.storage = storage
         self.topics = recorded_topics() if topics is None else dict(topics)

@@ -209,7 +209,7 @@ def _open_folder(path: Path) -> RawBag:
             return _open_folder(inner[0])
         if not files and inner:
             names = ", ".join(f.name for f in inner[:5])
-            raise NotABagError(f"{path}: holds several recordings ({names}): name one")
+            raise NotABagError(f"{path}: contains several recordings ({names}): name one")
         if not files:
             raise NotABagError(f"{path}: no recording in this folder")
     try:
@@ -223,7 +223,7 @@ def _open_folder(path: Path) -> RawBag:
     bag = _open_files(path, recordings, reason)
     for file in files:
         if file not in recordings:
-            bag.warn(f"{file.name} is no recording: left out")
+            bag.warn(f"{file.name} is not a recording and was skipped")
     return bag
 
 
@@ -236,7 +236,7 @@ def _open_files(
     kinds = {_storage(file) for file in files}
     storage = kinds.pop() if len(kinds) == 1 else None
     if storage is None:
-        raise NotABagError(f"{path}: its files are not recordings of one storage")
+        raise NotABagError(f"{path}: its files use different storage formats")
     bag = RawBag(path, storage, files, size, _unpacked=folder)
     bag.compressed_messages = metadata is not None and metadata.compressed_messages
     found: dict[tuple[str, str], Channel] = {}
@@ -247,10 +247,10 @@ def _open_files(
         found.setdefault((channel.topic, channel.msgtype), channel)
     bag.channels = list(found.values())
     if not found:
-        raise NotABagError(f"{path}: a recording without anything in it")
+        raise NotABagError(f"{path}: the recording is empty")
     if reason:
         bag.intact = False
-        bag.warn(f"incomplete ({reason}): what is there was read; derail repair makes it whole")
+        bag.warn(f"incomplete ({reason}): read what is there; derail repair makes it whole")
     return bag
 
 

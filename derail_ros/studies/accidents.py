@@ -125,7 +125,7 @@ def _number(text: str, where: str, largest: float = 1e6) -> float:
     if text and not (_NUMBER.fullmatch(text) and float(text.replace(",", "")) <= largest):
         shown = text if len(text) <= 20 else f"{text[:20]}..."
         raise AccidentFileError(
-            f"{where}: must be a number from 0 to {largest:.0f}, not {shown!r}"
+            f"{where}: must be a number from 0 to {largest:.0f}, got {shown!r}"
         )
     return float(text.replace(",", "") or 0.0)
 
@@ -133,7 +133,7 @@ def _number(text: str, where: str, largest: float = 1e6) -> float:
 def _whole(text: str, where: str, largest: float = MOST_CARS) -> int:
     value = _number(text, where, largest)
     if not value.is_integer():
-        raise AccidentFileError(f"{where}: must be a whole number, not {text!r}")
+        raise AccidentFileError(f"{where}: must be a whole number, got {text!r}")
     return int(value)
 
 

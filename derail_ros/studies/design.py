@@ -315,7 +315,7 @@ def make(study: Study) -> Design:
     if len(design) < 2:
         raise study.error(("design",), "makes a single point: nothing is compared")
     if study.model.base is not None and design.base is None:
-        raise study.error(("base",), "is none of the points of the study")
+        raise study.error(("base",), "must be a point of the study")
     return design
 
 

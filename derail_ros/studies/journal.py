@@ -110,7 +110,7 @@ class Journal:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise JournalError("another process is writing these results") from None
+            raise JournalError("another process is writing to this folder") from None
 
     def _read(self) -> None:
         self._file.seek(0)
@@ -134,7 +134,9 @@ class Journal:
         """Note that a run is there; False if it was before."""
         points, members = self.done.shape
         if not (0 <= point < points and 0 <= member < members):
-            raise JournalError(f"{self.path}: the study has no run {point}.{member}")
+            raise JournalError(
+                f"{self.path}: contains run {point}.{member}, which the study does not have"
+            )
         if self.done[point, member]:
             return False
         self.done[point, member] = True

@@ -54,7 +54,7 @@ def read_manifest(folder: str | os.PathLike[str]) -> dict[str, Any]:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise StudyError(f"{path}: is not the manifest of a study")
     if data.get("version") != VERSION:
-        raise StudyError(f"{path}: has version {data.get('version')}, {VERSION} is read here")
+        raise StudyError(f"{path}: version must be {VERSION}, got {data.get('version')}")
     return data
 
 

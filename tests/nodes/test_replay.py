@@ -209,7 +209,7 @@ def test_a_recording_is_taken_as_by_all_commands(tmp_path, capsys) -> None:
     code, answer = replay(tmp_path / "alone", capsys)
     assert code == 0 and answer["runs"][0]["events"] is None
     assert main(["replay", str(bag.parent / "manifest.json")]) == 2
-    assert "its format is 'derail_ros/results'" in capsys.readouterr().err
+    assert "got 'derail_ros/results'" in capsys.readouterr().err
     (tmp_path / "scenario.yaml").write_text("format: 1")
     (tmp_path / "picture.png").write_bytes(b"\x89PNG")
     for name in ("scenario.yaml", "picture.png"):

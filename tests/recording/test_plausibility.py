@@ -180,7 +180,7 @@ def test_what_was_left_out_is_told(run, rows, tmp_path) -> None:
 
     found = read_bag(changed(rows, "Collision", change, tmp_path / "bag"))
     assert len(found.collisions) == len(run.collisions) - 1
-    assert any("messages with impossible numbers left out" in w for w in found.warnings)
+    assert any("messages with impossible numbers skipped" in w for w in found.warnings)
     assert any("1 collision is missing" in w for w in found.warnings)
 
 

@@ -266,7 +266,7 @@ def test_a_stray_file_beside_a_recording_is_told(run, bag, tmp_path) -> None:
     (folder / "b.mcap").write_text("something else")
     found = read_bag(folder)
     assert found.run_id == run.run_id
-    assert any("b.mcap is no recording" in w for w in found.warnings)
+    assert any("b.mcap is not a recording" in w for w in found.warnings)
 
 
 def test_other_topics_are_told(tmp_path) -> None:

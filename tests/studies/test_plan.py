@@ -191,7 +191,7 @@ def test_six_variations_are_25_points_of_20_runs():
                     "measures: [relative_severity]\n"),
          "measures", "give the point in base"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid", "base: {p: 3}\n"),
-         "base", "none of the points"),
+         "base", "must be a point of the study"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid",
                     "figures: [{x: q, y: duration_s}]\n"), "figures.0.x", "unknown parameter"),
         (parameters("{path: ground.scale, values: [1]}"), "design", "a single point"),
