@@ -372,5 +372,5 @@ def _integrate(
         live = i[~(stops | over)]
         t += h
     if live.size:
-        raise ValueError(f"a train has not stopped after {time_limit:g} s: is there friction?")
+        raise ValueError(f"a train has not stopped after {time_limit:g} s; check the friction")
     return Estimate(*(a.reshape(shape) for a in (x, x / lc, whole, duration, peak)))

@@ -132,7 +132,7 @@ def blockage(
         live = i[~(stops | over)]
         t += h
     if live.size:
-        raise ValueError(f"a train has not stopped after {time_limit:g} s: is there friction?")
+        raise ValueError(f"a train has not stopped after {time_limit:g} s; check the friction")
     started = (x >= 0.0) & (start > 0.0)
     count = np.where(started, np.minimum(1.0 + x / lc, n), 0.0)
     found = (np.maximum(x, 0.0), count, whole, duration, peak)

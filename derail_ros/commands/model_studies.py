@@ -154,7 +154,7 @@ def convergence(
 
     rtols = sorted(set(tolerances or c.TOLERANCES), reverse=True)
     if len(rtols) < 2:
-        raise CommandFailure("--rtol: at least two tolerances are compared")
+        raise CommandFailure("--rtol: must name at least two tolerances")
     for rtol in rtols:
         if not 1e-12 <= rtol <= 0.1:
             raise CommandFailure(f"--rtol: must be 1e-12 to 0.1, got {rtol:g}")

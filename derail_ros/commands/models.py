@@ -118,7 +118,7 @@ def parse_speeds(text: str) -> list[float]:
     except ValueError:
         raise CommandFailure(f"--speeds: must be like 30,48,60, got {text!r}") from None
     if not all(0.0 < v < 720.0 for v in speeds) or speeds != sorted(set(speeds)):
-        raise CommandFailure("--speeds: must be positive and rise")
+        raise CommandFailure("--speeds: must be positive and rising, below 720")
     return speeds
 
 

@@ -305,7 +305,7 @@ def replay(
     manifest, recorded = _found(Path(bag))
     other = engine_differs(manifest)
     if other:
-        note("derail: another version of the engine computed this: the bits may differ")
+        note("derail: computed by another version of the engine: the last bits may differ")
     common.warm_up()
     try:
         results = recompute(manifest, recorded)
@@ -362,9 +362,13 @@ def _found(path: Path) -> tuple[Manifest, dict[str, RunMessages] | None]:
     else:
         manifest = found.manifest()
         if manifest.settings.get("gathered"):
-            note(f"derail: {raw.path}: no manifest: scenario and commands are from its messages")
+            note(
+                f"derail: {raw.path}: no manifest: taking scenario and commands from the messages"
+            )
     if not manifest.runs:
-        raise CommandFailure(f"{raw.path}: no run to compute again: no train (topic consist)")
+        raise CommandFailure(
+            f"{raw.path}: contains no train (topic consist), so no run can be computed again"
+        )
     return manifest, found.runs
 
 

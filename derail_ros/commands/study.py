@@ -91,7 +91,7 @@ def run(
         raise CommandFailure(str(error)) from None
     except KeyboardInterrupt:
         raise CommandFailure(
-            f"interrupted; finished runs are kept in {folder}: the same command goes on",
+            f"interrupted; finished runs are kept in {folder}; the same command continues",
             INTERRUPTED,
         ) from None
     return _answer(folder, as_json)

@@ -103,9 +103,7 @@ def times(
         raise FilmError(f"no time to show: the recording runs from {first:g} s to {last:g} s")
     count = (high - low) / rate * fps
     if count > MOST:
-        raise FilmError(
-            f"{count:.0f} pictures are too many; choose a higher rate or fewer pictures a second"
-        )
+        raise FilmError(f"{count:.0f} pictures are too many; raise --rate or lower --fps")
     return np.append(np.arange(low, high, rate / fps), high)
 
 
@@ -254,7 +252,7 @@ def film(
     fps = kind.fps if fps is None else fps
     moments = times(run, fps, kind.rate if rate is None else rate, start, end)
     if path.is_dir():
-        raise FilmError(f"{path}: is a folder")
+        raise FilmError(f"{path}: must be a file, is a folder")
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
     try:
         temporary.touch()  # before the work, not after it

@@ -22,7 +22,7 @@ CONNECT_S = 10.0
 """How long to wait for the scheduler and its first worker, s."""
 
 
-LOST = "--dask: the connection to the cluster was lost"
+LOST = "--dask: lost the connection to the cluster"
 
 
 class ClusterError(Exception):
@@ -103,7 +103,7 @@ def _run(client: Client, runs: Iterable[Job], jobs: int | None, task: Task) -> I
         if isinstance(value, str):
             raise ClusterError(
                 f"--dask: a worker has another version of the engine ({value[:12]}, "
-                f"not {engine[:12]}): install the same there"
+                f"not {engine[:12]}): install the same version on the workers"
             )
         # what comes back has a copy of the job: give the caller its own
         yield JobResult(index, job, value.value, value.error, value.wall_s)

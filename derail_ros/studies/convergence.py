@@ -205,7 +205,7 @@ def convergence(
     """
     rtols = sorted(set(tolerances), reverse=True)
     if len(rtols) < 2:
-        raise ValueError("tolerances: at least two are compared")
+        raise ValueError("tolerances: must be at least two")
     if members < 3:
         raise ValueError(f"members must be at least 3, got {members}")
     integration = scenario.to_params().integration

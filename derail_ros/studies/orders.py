@@ -47,7 +47,7 @@ def reorder(
     single = [{**block, "count": 1} for block in consist for _ in range(int(block["count"]))]
     first, last = (1, len(single)) if cars is None else cars
     if last > len(single):
-        raise ValueError(f"there is no car {last}: the train has {len(single)}")
+        raise ValueError(f"no car {last}: the train has {len(single)}")
     part = single[first - 1 : last]
     part = [part[i] for i in _order(part, name, seed)]
     return _blocks([*single[: first - 1], *part, *single[last:]])

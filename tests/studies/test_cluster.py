@@ -94,7 +94,7 @@ def test_the_scheduler_goes_away_between_two_runs(load, folder, cluster, monkeyp
 
     known = cluster_module._width
     monkeypatch.setattr(cluster_module, "_width", width)
-    with pytest.raises(ClusterError, match="connection to the cluster was lost"):
+    with pytest.raises(ClusterError, match="lost the connection to the cluster"):
         run_study(load(STUDY), folder / "out", run=on_cluster(cluster.scheduler_address))
     assert len(asked) > moment
 

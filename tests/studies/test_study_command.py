@@ -116,7 +116,7 @@ def test_interrupted_it_goes_on(folder):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert "the same command goes on" in err
+    assert "the same command continues" in err
     kept = journal.read_bytes().count(b"\n")
     assert 3 <= kept < 80
     answer = subprocess.run(command, capture_output=True, text=True, timeout=250, env=os.environ)
