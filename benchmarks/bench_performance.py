@@ -153,7 +153,7 @@ def pile_ups() -> tuple[list[dict[str, Any]], float]:
                 x, y = 60.0 * (row - 2) * 0.3, 4.6 * (column - 2)
                 state.q[i] = (x - 200.0 * group, y, *[rng.normal(0.0, 0.05)] * 3)
                 state.v[i] = (-4.0 * (row - 2), -1.5 * (column - 2), rng.normal(0.0, 0.2), 0, 0)
-            state.cnt[2] = 0  # no neighbours yet
+            state.cnt["pairs"] = 0  # no neighbours yet
             run._evaluate()
             began = time.process_time()
             run.advance_to(3.0)

@@ -48,7 +48,7 @@ def parse_cars(text: str) -> list[int]:
         last = first if match[2] is None else int(match[2])
         step = 1 if match[3] is None else int(match[3])
         if first < 1 or last < first or step < 1 or (last - first) // step >= 10_000:
-            raise CommandFailure(f"--cars: must be like first:last:step and rise, got {part.strip()}")
+            raise CommandFailure(f"--cars: must be like 10:100:10 and rise, got {part.strip()}")
         cars += range(first, last + 1, step)
     return cars
 
