@@ -32,8 +32,8 @@ CUSTOM_DATA = "derail_ros_manifest"
 PACKAGES = ("numpy", "numba", "llvmlite", "pydantic", "PyYAML", "rosbags", "mcap", "ros-rclpy")
 
 
-def software_versions() -> dict[str, str]:
-    """Versions of everything that a result may depend on."""
+def software_versions(*more: str) -> dict[str, str]:
+    """Versions of everything that a result may depend on; of ``more`` packages too."""
     from derail_ros.models import engine_hash
 
     versions = {
@@ -43,7 +43,7 @@ def software_versions() -> dict[str, str]:
         "platform": platform.platform(),
         "machine": platform.machine(),
     }
-    for package in PACKAGES:
+    for package in (*PACKAGES, *more):
         try:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-import importlib.metadata
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -37,6 +36,9 @@ from derail_ros.studies.study_measures import measure_names, measure_of
 from derail_ros.vocabulary.words import count
 
 Progress = Callable[[str, int, int], None]
+
+PACKAGES = ("scipy", "SALib", "pandas", "pyarrow", "distributed")
+"""What studies depend on beside the engine."""
 
 
 def default_folder(name: str) -> Path:
@@ -221,20 +223,10 @@ def _manifest(design: Design, identity: str, before: Mapping[str, Any] | None) -
         "columns": list(design.columns),
         "labels": {name: study.label(name) for name in design.columns},
         "measures": {key: measure_of(key).title for key in measure_names()},
-        "software": software_versions() | _study_packages(),
+        "software": software_versions(*PACKAGES),
         "started": before["started"] if before else _now(),
         "wall_s": before["wall_s"] if before else 0.0,
     }
-
-
-def _study_packages() -> dict[str, str]:
-    found = {}
-    for package in ("scipy", "SALib", "pandas", "pyarrow", "distributed"):
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def _now() -> str:
