@@ -671,7 +671,6 @@ class AndersonModel:
             scene_length=box[0],
             scene_width=box[1],
             scene_area=box[2],
-            max_truck_offset=float(clock["max_offset"]),
             derail_time=s.peak["derail_time"].copy(),
             derail_speed=s.peak["derail_speed"].copy(),
             rear_part_first_car=int(behind[0]) + 1 if len(behind) else 0,
