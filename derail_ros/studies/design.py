@@ -313,7 +313,7 @@ def make(study: Study) -> Design:
     if design.runs > MAX_RUNS:
         raise study.error(("design",), f"makes more than {MAX_RUNS} runs: {design.runs}")
     if len(design) < 2:
-        raise study.error(("design",), "makes a single point: nothing is compared")
+        raise study.error(("design",), "must give at least two points")
     if study.model.base is not None and design.base is None:
         raise study.error(("base",), "must be a point of the study")
     return design
@@ -373,7 +373,7 @@ def _axis(study: Study, name: str, p: Parameter) -> Axis:
         if p.whole:  # each of the whole numbers has the same share
             first, last = math.ceil(low), math.floor(high)
             if first > last:
-                raise study.error((*place, "range"), "is empty: no whole number lies within")
+                raise study.error((*place, "range"), "contains no whole number")
             size = last - first + 1
             return Axis(name, (), lambda u: level(min(first + int(u * size), last), "range"))
         return Axis(name, (), lambda u: level(low + (high - low) * u, "range"))
@@ -447,7 +447,7 @@ def _base_level(study: Study, p: Parameter, place: Place) -> Level:
 
 def _percent_level(study: Study, p: Parameter, base: Any, percent: float, place: Place) -> Level:
     if isinstance(base, (bool, str)):
-        raise study.error(place[:-1], f"{p.path} is not a number but {base!r}")
+        raise study.error(place[:-1], f"{p.path} must be a number, got {base!r}")
     if percent == 0.0:
         return Level(base, {}, place)
     value: Any = base * (1.0 + percent / 100.0)

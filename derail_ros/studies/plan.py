@@ -312,16 +312,16 @@ def _check(model: StudyModel, document: Document) -> None:
         if not model.cases or not model.columns:
             refuse(("design",), "cases needs a list of cases and the columns they fill")
         if model.parameters:
-            refuse(("parameters",), "do not go with the design cases")
+            refuse(("parameters",), "cannot be used with the design cases")
     else:
         if not model.parameters:
-            refuse(("parameters",), "is required: nothing is varied")
+            refuse(("parameters",), "is required: the study must vary something")
         if model.cases or model.columns:
-            refuse(("cases" if model.cases else "columns",), "only goes with the design cases")
+            refuse(("cases" if model.cases else "columns",), "needs the design cases")
     if model.design in RANDOM and model.points is None:
         refuse(("points",), f"is required by the design {model.design}")
     if model.design not in RANDOM and model.points is not None:
-        refuse(("points",), f"the design {model.design} has as many points as its levels make")
+        refuse(("points",), f"cannot be used with the design {model.design}: levels make them")
     if model.design == "sobol" and model.points is not None and model.points & (model.points - 1):
         refuse(("points",), f"must be a power of two for the design sobol, is {model.points}")
 
@@ -330,7 +330,7 @@ def _check(model: StudyModel, document: Document) -> None:
     reserved |= {former for m in MEASURES.values() for former in m.former}
     for name in columns & reserved:
         place = "parameters" if name in model.parameters else "columns"
-        refuse((place, name), "is the name of a column of every table; choose another")
+        refuse((place, name), "is reserved: every table has a column of this name")
     for name, parameter in model.parameters.items():
         _check_parameter(model, name, parameter, refuse)
     _check_paths(model, refuse)
@@ -342,12 +342,12 @@ def _check(model: StudyModel, document: Document) -> None:
             refuse(("cases", i, "order"), f"unknown order {case.order!r}")
     relative = RELATIVE_SEVERITY.key
     if relative in model.measures and model.design != "one_at_a_time" and model.base is None:
-        refuse(("measures",), f"{relative} compares with a base: give the point in base")
+        refuse(("measures",), f"{relative} needs base, the point to compare with")
     for name in model.base or {}:
         if name not in columns:
             refuse(("base", name), f"unknown parameter{did_you_mean(name, columns)}")
     if model.base is not None and model.design in RANDOM:
-        refuse(("base",), f"does not go with the design {model.design}")
+        refuse(("base",), f"cannot be used with the design {model.design}")
     for i, figure in enumerate(model.figures):
         for key in ("x", "series", "panels"):
             column = getattr(figure, key)
@@ -371,31 +371,32 @@ def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) ->
     given = [source for source in SOURCES if getattr(p, source) is not None]
     if len(given) != 1:
         words = "one of " + ", ".join(SOURCES)
-        refuse(place, f"needs {words}" if not given else f"takes only one of {', '.join(given)}")
+        only = f"must have only one of {', '.join(given)}"
+        refuse(place, only if given else f"needs {words}")
     source = given[0]
     targets = [target for target in ("path", "set") if getattr(p, target) is not None]
     if source in ("settings", "order"):
         if targets:
-            refuse((*place, targets[0]), f"does not go with {source}")
+            refuse((*place, targets[0]), f"cannot be used with {source}")
     elif len(targets) != 1:
         refuse(place, "needs either path or set: what the values are for")
     if source == "percent" and p.path is None:
         refuse((*place, "percent"), "needs a path: the base scenario's value there is 0 %")
     if p.range is not None and not p.range[0] < p.range[1]:
         low, high = p.range
-        refuse((*place, "range"), f"is empty: {low:g} is not below {high:g}")
+        refuse((*place, "range"), f"must rise, got {low:g} to {high:g}")
     if p.steps is not None and p.range is None:
-        refuse((*place, "steps"), "only goes with range")
+        refuse((*place, "steps"), "needs range")
     if p.whole and source not in ("range", "distribution", "percent"):
-        refuse((*place, "whole"), f"does not go with {source}")
+        refuse((*place, "whole"), f"cannot be used with {source}")
     if p.cars is not None and (p.order is None or not 1 <= p.cars[0] < p.cars[1]):
-        refuse((*place, "cars"), "must be the first and the last car of those put in order")
+        refuse((*place, "cars"), "must be the first and the last car to reorder")
     if p.set is not None and fill(p.set, 0) == fill(p.set, 1):
-        refuse((*place, "set"), "does not say where $value goes")
+        refuse((*place, "set"), "must contain $value")
     for key in ("values", "percent", "order"):
         items = getattr(p, key) or ()
         if len({(type(item) is bool, item) for item in items}) != len(items):
-            refuse((*place, key), "has the same entry twice")
+            refuse((*place, key), "contains a value twice")
     if p.values is not None and len({_kind(v) for v in p.values}) > 1:
         refuse((*place, "values"), "must be all numbers, all texts or all true and false")
     for i, order in enumerate(p.order or ()):
@@ -409,11 +410,11 @@ def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) ->
         if source == "range" and p.steps is None:
             refuse((*place, "steps"), f"is required by the design {model.design}")
     elif p.steps is not None:
-        refuse((*place, "steps"), f"does not go with the design {model.design}")
+        refuse((*place, "steps"), f"cannot be used with the design {model.design}")
     if model.design == "one_at_a_time" and p.set is not None and p.base is None:
         refuse((*place, "base"), "is required with set: the value that the base scenario has")
     if p.base is not None and (p.set is None or model.design != "one_at_a_time"):
-        refuse((*place, "base"), "only goes with set in the design one_at_a_time")
+        refuse((*place, "base"), "needs set and the design one_at_a_time")
 
 
 def _check_distribution(
@@ -425,7 +426,7 @@ def _check_distribution(
     kind = getattr(distribution, kinds[0])
     low, high = kind.low, kind.high
     if low is not None and high is not None and not low < high:
-        refuse((*place, kinds[0]), f"is empty: {low:g} is not below {high:g}")
+        refuse((*place, kinds[0]), f"must rise, got {low:g} to {high:g}")
     if kinds[0] == "triangular" and not low <= kind.mode <= high:
         refuse((*place, kinds[0], "mode"), f"must lie between {low:g} and {high:g}")
     if kinds[0] == "lognormal" and high is not None and high <= 0:

@@ -76,7 +76,7 @@ def test_six_variations_are_25_points_of_20_runs():
 @pytest.mark.parametrize(
     ("text", "field", "reason"),
     [
-        (GRID, "parameters", "nothing is varied"),
+        (GRID, "parameters", "must vary something"),
         (HEAD + "design: gird\n", "design", "did you mean 'grid'"),
         (GRID.replace("1", "2", 1), "version", "must be 1"),
         (parameters("{path: ground.scale}"), "parameters.p", "needs one of values"),
@@ -88,17 +88,17 @@ def test_six_variations_are_25_points_of_20_runs():
         (
             parameters("{path: ground.scale, values: [1], percent: [0]}"),
             "parameters.p",
-            "takes only one of values, percent",
+            "must have only one of values, percent",
         ),
         (
             parameters("{path: ground.scale, range: [2, 1], steps: 3}"),
             "parameters.p.range",
-            "is empty: 2 is not below 1",
+            "must rise, got 2 to 1",
         ),
         (
             parameters("{path: ground.scale, range: [1, 1], steps: 3}"),
             "parameters.p.range",
-            "is empty",
+            "must rise, got 1 to 1",
         ),
         (parameters("{path: ground.scale, range: [1, 2]}"), "parameters.p.steps", "is required"),
         (
@@ -189,14 +189,14 @@ def test_six_variations_are_25_points_of_20_runs():
          "measures.0", "did you mean"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid",
                     "measures: [relative_severity]\n"),
-         "measures", "give the point in base"),
+         "measures", "needs base, the point to compare with"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid", "base: {p: 3}\n"),
          "base", "must be a point of the study"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid",
                     "figures: [{x: q, y: duration_s}]\n"), "figures.0.x", "unknown parameter"),
-        (parameters("{path: ground.scale, values: [1]}"), "design", "a single point"),
+        (parameters("{path: ground.scale, values: [1]}"), "design", "at least two points"),
         (GRID + "parameters:\n  status: {path: ground.scale, values: [1, 2]}\n",
-         "parameters.status", "choose another"),
+         "parameters.status", "is reserved"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid", "ensemble: 0\n"),
          "ensemble", "at least 1"),
         (parameters("{path: ground.scale, values: [1, 2]}", "grid",
@@ -224,7 +224,7 @@ def test_former_names_of_measures_mean_the_same_in_si_units(load):
     ).model
     assert model.measures == ("peak_force_N", "energy_initial_J")
     assert model.figures[0].y == "peak_force_N"
-    with pytest.raises(ScenarioError, match="choose another"):
+    with pytest.raises(ScenarioError, match="is reserved"):
         load(text.replace("p:", "peak_force_MN:", 1))
 
 
