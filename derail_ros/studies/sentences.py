@@ -154,7 +154,7 @@ def _extremes(results: StudyResults, measure: str) -> list[str]:
 def _not_told(results: StudyResults, measure: str) -> list[str]:
     values = results.values(measure)
     if results.manifest["ensemble"] < 2:
-        return ["With one run a point no two settings can be told apart; give an ensemble."]
+        return ["With one run per point, settings cannot be distinguished; set an ensemble."]
     found = []
     for line in statistics.lines(results):
         known = [(v, p) for v, p in zip(line.values, line.points, strict=True) if p in values]
@@ -190,25 +190,25 @@ def _cannot(
     listed = joined(words)
     if any("," in w for w in words):
         listed = "; ".join(words[:-1]) + "; and " + words[-1]
-    text = capital(f"{subject}{listed} cannot be told apart at {count(n, 'run')} a point")
+    text = capital(f"{subject}{listed} cannot be distinguished with {count(n, 'run')} per point")
     everything = np.concatenate(groups)
     if np.ptp(everything) == 0.0:
         m = measure_of(measure)
         value = f"{everything[0]:.0f}" if m.whole else m.shown(everything[0])
         return f"{text}: every run gives {with_unit(measure, value)}."
     if all(np.array_equal(groups[0], g) for g in groups[1:]):
-        return f"{text}: run by run they give the same."
+        return f"{text}: all runs give the same."
     means = [float(g.mean()) for g in groups]
     least, most = int(np.argmin(means)), int(np.argmax(means))
     ends = " to ".join(shown(measure, means[i], 1) for i in (least, most))
     text += f" (means {with_unit(measure, ends)}"
     needed = statistics.runs_needed(groups[least], groups[most])
     if needed is not None and needed > MOST_NEEDED:
-        text += f"; a difference as large as that would take more than {MOST_NEEDED} runs a point"
+        text += f"; so small a difference would take more than {MOST_NEEDED} runs per point"
     elif needed is not None and needed > n:
         # two digits are all that such an estimate has
         rounded = int(round(needed, -max(0, len(str(needed)) - 2)))
-        text += f"; a difference as large as that would take about {rounded} runs a point"
+        text += f"; a difference as large as that would take about {rounded} runs per point"
     return text + ")."
 
 
@@ -231,8 +231,7 @@ def _latin(results: StudyResults, measure: str) -> list[str]:
     unsure = [words(r["parameter"]) for r in rows if r not in sure]
     if unsure:
         found.append(
-            f"No effect of {joined(unsure)} can be told from none at "
-            f"{results.manifest['points']} points."
+            f"No significant effect of {joined(unsure)} at {results.manifest['points']} points."
         )
     return found
 
@@ -240,7 +239,7 @@ def _latin(results: StudyResults, measure: str) -> list[str]:
 def _sobol(results: StudyResults, measure: str) -> list[str]:
     rows = _rows(results, measure)
     if not rows:
-        return ["No Sobol indices: too few runs, or all of them give the same."]
+        return ["No Sobol indices: too few runs, or all give the same."]
     words = results.study.words
     found = []
     if left := int(rows[0]["left_out"]):

@@ -200,12 +200,13 @@ def test_what_cannot_be_told_apart_is_said(load, folder, invented):
 
     results = StudyResults(run_study(load(GRID), folder / "out", run=invented(some)))
     lines = dict(results.findings())["Time to rest"]
-    told = [line for line in lines if "cannot be told apart" in line]
+    told = [line for line in lines if "cannot be distinguished" in line]
     assert len(told) == 2
     assert told[0].startswith(
-        "At ground 0.8, speed 10 km/h and 12 km/h cannot be told apart at 40 runs a point (means"
+        "At ground 0.8, speed 10 km/h and 12 km/h cannot be distinguished with 40 runs per point "
+        "(means"
     )
-    assert "runs a point" in told[0].split("take about")[1]
+    assert "runs per point" in told[0].split("take about")[1]
     assert told[1].startswith("At ground 1.2, speed 10 km/h and 12 km/h")
     assert lines[0].startswith("Shares of the variance of all runs: speed")
     severity = dict(results.findings())["Severity relative to the base"]
@@ -289,4 +290,4 @@ measures: [duration_s]
     )
     (first, second) = results.statements()
     assert first.startswith("Time to rest: Rank correlations: speed +0.9")
-    assert second == "Time to rest: No effect of ground can be told from none at 60 points."
+    assert second == "Time to rest: No significant effect of ground at 60 points."
