@@ -231,7 +231,8 @@ def by_speed_figure(
         axes.annotate(
             name, (right * 1.003, y), (right * 1.05, at), color=colour, size=9, va="center",
             annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "shrinkA": 1, "shrinkB": 3},
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "shrinkA": 1, "shrinkB": 3,
+                        "relpos": (0.0, 0.5)},
         )  # fmt: skip
     axes.set_xlabel("speed, km/h")
     axes.set_ylabel("cars derailed")

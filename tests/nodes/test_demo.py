@@ -54,5 +54,5 @@ def test_a_run_that_its_time_limit_ends_is_not_said_to_rest(last) -> None:
     lines = shown(outcome, "small", 80)
     said = f"ended by its time limit, not at rest, at {outcome.time:.1f} s"
     assert said in " ".join(" ".join(lines[:2]).split())
-    (row,) = (line for line in lines if "duration" in line)
+    (row,) = (line for line in lines if "time to rest (s)" in line)
     assert row.split("│")[2].strip() == "-"
