@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,10 +91,20 @@ class AndersonParams:
 
 
 # columns of the model's own parameters
-S_K, S_C, S_LIMIT, S_MU, S_E, S_HMAX, N_S = 0, 1, 2, 3, 4, 5, 6
+S_K, S_C, S_LIMIT, S_MU, S_E, S_HMAX = range(6)
+OWN = ("stiffness", "damping", "force_limit", "friction", "restitution", "max_step")
 # columns of the cars' own state: time and speed at which a car came free, largest impulse's
 # approach speed, other car, time
-O_FREE_T, O_FREE_V, O_HIT_V, O_HIT_OTHER, O_HIT_T, N_O = 0, 1, 2, 3, 4, 5
+O_FREE_T, O_FREE_V, O_HIT_V, O_HIT_OTHER, O_HIT_T, N_O = range(6)
+
+
+class Springs(NamedTuple):
+    """What the model has beside the engine's arrays."""
+
+    own: F64  # its constants, see OWN
+    linked: U8  # (N-1,) springs that hold
+    other: F64  # (N, N_O) the cars' own state
+
 
 # Fehlberg's 4(5): slopes of the stages, weights, error, times
 RKF = np.array(RKF45)
@@ -128,12 +139,13 @@ def _gap(
 
 @jit
 def applied_forces(
-    model: Model, state: State, work: Work, own: F64, linked: U8, t: float, q: F64, v: F64
+    model: Model, state: State, work: Work, springs: Springs, t: float, q: F64, v: F64
 ) -> None:
     """All applied forces into ``work.force``, their powers into ``work.power``."""
     keep_separate()
     n = q.shape[0]
     eps = model.par[0].ground_eps
+    own, linked = springs.own, springs.linked
     mu = own[S_MU]
     wk = work.wk
     force = work.force
@@ -180,19 +192,11 @@ def applied_forces(
 
 @jit
 def rates(
-    model: Model,
-    state: State,
-    work: Work,
-    own: F64,
-    linked: U8,
-    t: float,
-    q: F64,
-    v: F64,
-    out: F64,
+    model: Model, state: State, work: Work, springs: Springs, t: float, q: F64, v: F64, out: F64
 ) -> bool:
     """Accelerations of the cars under their truck constraints; False when singular."""
     keep_separate()
-    applied_forces(model, state, work, own, linked, t, q, v)
+    applied_forces(model, state, work, springs, t, q, v)
     truck_rows(model, state, work, q)
     ok = factor(model, state, work)
     constraint_gamma(model, state, work, q, v)
@@ -203,7 +207,7 @@ def rates(
 
 @jit
 def stored_energy(
-    model: Model, own: F64, linked: U8, q: F64, v: F64, wk: Rows, ang: F64
+    model: Model, springs: Springs, q: F64, v: F64, wk: Rows, ang: F64
 ) -> tuple[float, float]:
     """Kinetic energy of the cars and energy of the springs, J."""
     keep_separate()
@@ -213,9 +217,9 @@ def stored_energy(
     for i in range(q.shape[0]):
         kinetic += 0.5 * model.car[i].mass * (v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
         kinetic += 0.5 * model.car[i].inertia * v[i, 2] * v[i, 2]
-        if i < q.shape[0] - 1 and linked[i]:
+        if i < q.shape[0] - 1 and springs.linked[i]:
             gx, gy, _, _, _, _, _, _ = _gap(model, q, v, wk, i)
-            spring += coupling_energy(gx, gy, own[S_K])
+            spring += coupling_energy(gx, gy, springs.own[S_K])
     return kinetic, spring
 
 
@@ -253,8 +257,8 @@ def _separation(model: Model, q: F64, wk: Rows, i: int, j: int) -> tuple[float, 
 
 
 @jit
-def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> bool:
-    """Impulses between all bodies that overlap and approach; True when there was any.
+def collide(model: Model, state: State, work: Work, springs: Springs) -> None:
+    """Impulses between all bodies that overlap and approach.
 
     The mobilities under the truck constraints are those of the factors in ``work.wk``: a car on
     the rails gives way along them only.
@@ -264,7 +268,7 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
     q = state.q
     v = state.v
     wk = work.wk
-    hit = False
+    restitution, other = springs.own[S_E], springs.other
     for i in range(n):
         if model.car[i].virtual != 0.0:
             continue
@@ -290,24 +294,22 @@ def collide(model: Model, state: State, work: Work, own: F64, other: F64) -> boo
             bt = wk[j].w_xt * nx + wk[j].w_yt * ny
             w_a = ax * nx + ay * ny
             w_b = bx * nx + by * ny
-            p = collision_impulse(closing, w_a, w_b, own[S_E])
+            p = collision_impulse(closing, w_a, w_b, restitution)
             if not p > 0.0:
                 continue
-            state.energy[layout.E_COLLISION] += energy_lost(closing, w_a, w_b, own[S_E])
+            state.energy[layout.E_COLLISION] += energy_lost(closing, w_a, w_b, restitution)
             v[i, 0] -= p * ax
             v[i, 1] -= p * ay
             v[i, 2] -= p * at
             v[j, 0] += p * bx
             v[j, 1] += p * by
             v[j, 2] += p * bt
-            hit = True
             for c in range(2):
                 me = i if c == 0 else j
                 if closing > other[me, O_HIT_V]:
                     other[me, O_HIT_V] = closing
                     other[me, O_HIT_OTHER] = (j if c == 0 else i) + 1.0
                     other[me, O_HIT_T] = state.clock[0].t
-    return hit
 
 
 @inner_jit
@@ -318,8 +320,9 @@ def _note_derailed(state: State, i: int) -> None:
 
 
 @inner_jit
-def _note_free(state: State, linked: U8, other: F64, i: int) -> None:
+def _note_free(state: State, springs: Springs, i: int) -> None:
     n = state.q.shape[0]
+    linked, other = springs.linked, springs.other
     free = (i == 0 or linked[i - 1] == 0) and (i == n - 1 or linked[i] == 0)
     off = state.truck_on[i, 0] == 0 or state.truck_on[i, 1] == 0
     if free and off and math.isnan(other[i, O_FREE_T]):
@@ -328,15 +331,7 @@ def _note_free(state: State, linked: U8, other: F64, i: int) -> None:
 
 
 @jit
-def advance(
-    model: Model,
-    state: State,
-    work: Work,
-    own: F64,
-    linked: U8,
-    other: F64,
-    t_target: float,
-) -> int:
+def advance(model: Model, state: State, work: Work, springs: Springs, t_target: float) -> int:
     """Step until ``t_target`` or the end of the run."""
     keep_separate()
     n = state.q.shape[0]
@@ -344,12 +339,13 @@ def advance(
     cnt = state.cnt[0]
     par = model.par[0]
     floor = par.h_min
+    own, linked = springs.own, springs.linked
     q1 = work.stage_q
     v1 = work.stage_v
     while clock.t < t_target and cnt.status == layout.RUNNING:
         t = clock.t
         clock.t_on = t
-        if not rates(model, state, work, own, linked, t, state.q, state.v, work.kv[0]):
+        if not rates(model, state, work, springs, t, state.q, state.v, work.kv[0]):
             return SINGULAR
         for k in range(layout.N_POWER):
             work.kp[0, k] = work.power[k]
@@ -377,17 +373,8 @@ def advance(
                         q1[i, k] = state.q[i, k] + h * dq
                         v1[i, k] = state.v[i, k] + h * dv
                         work.kq[s, i, k] = v1[i, k]
-                if not rates(
-                    model,
-                    state,
-                    work,
-                    own,
-                    linked,
-                    t + RKF[RKF_C, s] * h,
-                    q1,
-                    v1,
-                    work.kv[s],
-                ):
+                at = t + RKF[RKF_C, s] * h
+                if not rates(model, state, work, springs, at, q1, v1, work.kv[s]):
                     return SINGULAR
                 for k in range(layout.N_POWER):
                     work.kp[s, k] = work.power[k]
@@ -430,7 +417,7 @@ def advance(
             for s in range(6):
                 total += RKF[RKF_B, s] * work.kp[s, k]
             state.energy[k] += h * total
-        before, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
+        before, spring = stored_energy(model, springs, q1, v1, work.wk, work.ang)
         before += spring
         for i in range(n):
             for k in range(3):
@@ -439,7 +426,7 @@ def advance(
         if not project_positions(model, state, work, q1):
             return SINGULAR
         project_velocities(model, state, work, v1)
-        after, spring = stored_energy(model, own, linked, q1, v1, work.wk, work.ang)
+        after, spring = stored_energy(model, springs, q1, v1, work.wk, work.ang)
         state.energy[layout.E_STAB_NET] += after + spring - before
         state.energy[layout.E_STAB_GROSS] += abs(after + spring - before)
         clock.t_prev = t
@@ -452,7 +439,7 @@ def advance(
         clock.h_next = min(max(h * grow, floor), own[S_HMAX])
 
         # what the rails carry, and what leaves them
-        if not rates(model, state, work, own, linked, clock.t, state.q, state.v, state.a):
+        if not rates(model, state, work, springs, clock.t, state.q, state.v, state.a):
             return SINGULAR
         for i in range(n):
             for k in range(2):
@@ -500,8 +487,8 @@ def advance(
                     at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
                     apply_brakes(model, state, at, layout.ARR_CONV, clock.t)
         for i in range(n):
-            _note_free(state, linked, other, i)
-        collide(model, state, work, own, other)
+            _note_free(state, springs, i)
+        collide(model, state, work, springs)
 
         # the end
         still = True
@@ -553,29 +540,20 @@ class AndersonModel:
         plain_masses(self._model, self._work.wk)
         n = len(params.cars)
         s = self._state
-        self._linked = s.coupled.copy()
+        linked = s.coupled.copy()
         s.coupled[:] = 0  # springs in place of the engine's joints
         # rigid couplers: their angles are the cars', and have no motion of their own
         s.q[:, 3:] = s.q[:, 2:3]
         s.v[:, 3:] = 0.0
-        self._own = np.zeros(N_S)
-        self._own[:] = (
-            self.own.stiffness,
-            self.own.damping,
-            self.own.force_limit,
-            self.own.friction,
-            self.own.restitution,
-            self.own.max_step,
-        )
-        self._other = np.zeros((n, N_O))
-        self._other[:, [O_FREE_T, O_FREE_V, O_HIT_T]] = math.nan
+        own = [getattr(self.own, name) for name in OWN]
+        other = np.zeros((n, N_O))
+        other[:, [O_FREE_T, O_FREE_V, O_HIT_T]] = math.nan
+        self._springs = Springs(np.array(own), linked, other)
         self._initial = sum(self._stored())
 
     def _stored(self) -> tuple[float, float]:
         s = self._state
-        return stored_energy(
-            self._model, self._own, self._linked, s.q, s.v, self._work.wk, self._work.ang
-        )
+        return stored_energy(self._model, self._springs, s.q, s.v, self._work.wk, self._work.ang)
 
     @property
     def time(self) -> float:
@@ -605,7 +583,7 @@ class AndersonModel:
     @property
     def coupled(self) -> U8:
         """(N-1,) springs that hold."""
-        return self._linked.copy()
+        return self._springs.linked.copy()
 
     def advance_to(self, t: float) -> None:
         """Step until ``time >= t`` or the run ends.
@@ -615,9 +593,7 @@ class AndersonModel:
         SimulationError
             The run cannot go on; its last accepted state stays.
         """
-        code = advance(
-            self._model, self._state, self._work, self._own, self._linked, self._other, t
-        )
+        code = advance(self._model, self._state, self._work, self._springs, t)
         if code != DONE:
             self._state.cnt["status"][0] = layout.FAILED
             kind, reason = _ERRORS[code]
@@ -654,7 +630,7 @@ class AndersonModel:
         """
         from derail_ros.engine.reports import STATUS
 
-        s, o = self._state, self._other
+        s, o = self._state, self._springs.other
         off = (s.truck_on == 0).any(axis=1)
         car = self._model.car
         corners = car_corners(s.q[:, :3], 2.0 * car["half_l"], 2.0 * car["half_w"])
