@@ -18,11 +18,16 @@ PAGES = {
     "convergence": "ensembles at several tolerances",
     "baselines": "the earlier models beside this one",
     "accidents": "reported accidents; NAMES: files of accident reports (CSV, FRA form 54)",
+    "trains": "the investigated trains that ship, in docs/accidents.md; NAMES: only these",
     "studies": "the studies that ship; NAMES: only these",
     "parameters": "parameters and topics of the nodes; config/simulator.yaml too",
     "screenshots": "pictures of a final scene and of the replay page",
 }
 """Name of a page, which is also the name of its module -> what it shows."""
+
+
+PARTS = {"trains": "accidents"}
+"""Part of a page -> that page."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         extra = given.names if given.page != "all" or name == "accidents" else []
         options = Options(
-            page=given.to or DOCS / f"{name}.md",
+            page=given.to or DOCS / f"{PARTS.get(name, name)}.md",
             names=tuple(extra),
             members=given.ensemble,
             seed=given.seed,

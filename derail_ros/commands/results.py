@@ -83,7 +83,7 @@ def report_of(
         "sd": found.sd(),
         "model": model,
         "notes": dict(notes),
-        "warnings": list(warnings),
+        "warnings": [*scenario.warnings, *warnings],
     }
 
 

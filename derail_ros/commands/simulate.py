@@ -91,14 +91,14 @@ def run(
         records += results.members(
             params, done, members, seed, jobs, compute, lambda: bars.update(task, advance=1)
         )
-    told = filter(None, (late_break(params, records[0]), unbraked(params, records[0])))
+    told = (late_break(params, records[0]), unbraked(params, records[0]))
     report = results.report_of(
         loaded,
         params.model,
         None if ensemble is None else seed,
         records,
         notes={},
-        warnings=[*loaded.warnings, *told],
+        warnings=list(filter(None, told)),
     )
     if output is not None:
         if "error" not in records[0]:
