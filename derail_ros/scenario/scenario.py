@@ -355,8 +355,8 @@ def _add_inputs(scenario: Scenario, folder: FilePath) -> None:
     document = scenario._document
     for wanted in scenario.model.inputs:
         path = folder / wanted.file
-        try:
-            content = path.read_bytes()
+        try:  # a scenario that this one extends has brought its own
+            content = document.files.get(wanted.file) or path.read_bytes()
         except OSError:
             document.notes.append(f"{path}: not found: recordings will not hold it")
             continue

@@ -76,6 +76,11 @@ def test_the_list_travels_by_its_hash(tmp_path, capsys):
     scenario = load_scenario(made)
     assert scenario.files["cars.csv"] == LIST.encode()
     assert scenario.warnings == ()
+    other = tmp_path / "elsewhere" / "fast.yaml"
+    other.parent.mkdir()
+    other.write_text("version: 1\ntitle: fast\nextends: train\ntrain: {speed_mph: 60}\n")
+    fast = load_scenario(other, [tmp_path])
+    assert (fast.files["cars.csv"], fast.warnings) == (LIST.encode(), ())
     (tmp_path / "cars.csv").write_text(LIST + "\n")
     assert "has changed since train was made from it" in load_scenario(made).warnings[0]
     assert load_scenario(made).hash == scenario.hash
