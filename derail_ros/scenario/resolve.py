@@ -325,7 +325,6 @@ def _block(
             raise Refusal(place, f"unknown coupler type {name!r}{did_you_mean(name, couplers)}")
         return str(name)
 
-    trucks = value("truck_centres_m")
     front, rear = coupler("front_coupler"), coupler("rear_coupler")
     length, pivots = _lengths(block, kind, path, couplers[front], couplers[rear])
     trucks = value("truck_centres_m", needed=True)
