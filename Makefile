@@ -53,6 +53,7 @@ mkdir -p $(VENV)/log; \
 $(PIP) $(2) >$(VENV)/log/$(1).txt 2>&1 || { cat $(VENV)/log/$(1).txt >&2; echo "pip failed: $(1)" >&2; exit 1; }
 endef
 
+STANDARD_SOURCES := $(wildcard standard_interfaces/* standard_interfaces/*/*)
 MSGS_SOURCES := derail_msgs/CMakeLists.txt derail_msgs/package.xml derail_msgs/pyproject.toml \
   $(wildcard derail_msgs/msg/*.msg derail_msgs/srv/*.srv)
 PROJECT_SOURCES := setup.py setup.cfg pyproject.toml constraints.txt derail_ros/__init__.py
@@ -61,7 +62,7 @@ EXTRAS := studies,dev
 PARTS := $(STAMPS)/project-$(EXTRAS)
 else
 EXTRAS := ros,studies,dev
-PARTS := $(STAMPS)/msgs $(STAMPS)/project-$(EXTRAS)
+PARTS := $(STAMPS)/msgs $(STAMPS)/standard $(STAMPS)/project-$(EXTRAS)
 endif
 
 LINTS := lint-ruff lint-format lint-types lint-walls lint-spelling lint-prose
@@ -89,15 +90,23 @@ $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
 	@echo "env: building derail_msgs against the ROS 2 wheels (about a minute)"
 	@command -v "$${CXX:-g++}" >/dev/null || { \
 	  echo "derail_msgs needs a C++ compiler (Debian, Ubuntu: apt-get install g++), or make ROS=0" >&2; exit 1; }
-	@rm -rf $(VENV)/wheels
+	@rm -f $(VENV)/wheels/derail_msgs-*
 	@$(call pip,derail_msgs,wheel --no-deps --build-constraint constraints.txt --wheel-dir $(VENV)/wheels ./derail_msgs)
 	@touch $@
 
-$(STAMPS)/env-ros$(ROS): $(MSGS_SOURCES) $(PROJECT_SOURCES)
+# What the wheels of PyPI lack of the interfaces of others; built like the messages, and seldom.
+$(STAMPS)/standard: $(STANDARD_SOURCES) | $(STAMPS)/venv
+	@echo "env: building simulation_interfaces and tf2_msgs against the ROS 2 wheels"
+	@rm -f $(VENV)/wheels/derail_standard_interfaces-*
+	@$(call pip,standard_interfaces,wheel --no-deps --build-constraint constraints.txt \
+	  --wheel-dir $(VENV)/wheels ./standard_interfaces)
+	@touch $@
+
+$(STAMPS)/env-ros$(ROS): $(MSGS_SOURCES) $(STANDARD_SOURCES) $(PROJECT_SOURCES)
 	@$(MAKE) -s $(STAMPS)/venv
-	@$(MAKE) -s -j2 $(PARTS)
+	@$(MAKE) -s -j3 $(PARTS)
 	@if [ "$(ROS)" != 0 ]; then \
-	  $(call pip,derail_msgs_install,install --no-deps --force-reinstall $(VENV)/wheels/derail_msgs-*.whl); fi
+	  $(call pip,derail_msgs_install,install --no-deps --force-reinstall $(VENV)/wheels/*.whl); fi
 	@touch $@
 	@echo "env: ready, $(BIN)/derail"
 

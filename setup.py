@@ -37,6 +37,9 @@ ROS = [
     "ros-std-msgs==5.5.1",
     "ros-std-srvs==5.5.1",
     "ros-geometry-msgs==5.5.1",
+    "ros-sensor-msgs==5.5.1",
+    "ros-nav-msgs==5.5.1",
+    "ros-action-msgs==2.3.0",
     "ros-visualization-msgs==5.5.1",
     "ros-diagnostic-msgs==5.5.1",
 ]

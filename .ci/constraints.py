@@ -22,9 +22,12 @@ HEADER = """\
 
 
 def build_requirements() -> list[str]:
-    """Return what the wheel of derail_msgs is built with."""
-    text = (ROOT / "derail_msgs" / "pyproject.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)["build-system"]["requires"]
+    """Return what the wheels of derail_msgs and standard_interfaces are built with."""
+    found = []
+    for folder in ("derail_msgs", "standard_interfaces"):
+        text = (ROOT / folder / "pyproject.toml").read_text(encoding="utf-8")
+        found += tomllib.loads(text)["build-system"]["requires"]
+    return found
 
 
 def report(python: str, requirements: list[str], constraints: dict[str, str]) -> dict:

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the graph of the
 from derail_ros.engine import PlanarSimulation, warm_up
 from derail_ros.recording import read_manifest
 from derail_ros.scenario import loads_scenario
+from msg_adapters.topics import LIVE_TOPICS, rclpy_class
 
 CARS = 110
 SCENARIO = f"""\
@@ -68,7 +69,7 @@ def node_parameters(folder: Path, **more: Any) -> dict[str, Any]:
 
 
 def load(folder: Path, number: int) -> dict[str, float]:
-    """Load and rates at real time, with a recorder on all topics."""
+    """Load and rates at real time, with a recorder on all topics and a listener of the frames."""
     from tests.nodes.graph import graph
 
     place = folder / f"load_{number}"
@@ -76,6 +77,9 @@ def load(folder: Path, number: int) -> dict[str, float]:
         recorder = made.start("recorder", path=place)
         simulator = made.simulator(ready=False, **node_parameters(folder, await_listeners=1))
         clocks = made.listen("/clock")["/clock"]
+        for name in ("/tf", "joint_states"):  # as RViz listens
+            kind = rclpy_class(LIVE_TOPICS[name].msgtype)
+            made.node.create_subscription(kind, name, lambda _: None, 100, raw=True)
         diagnostics = made.listen("/diagnostics")["/diagnostics"]
         pid = simulator.process.pid
 

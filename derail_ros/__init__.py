@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from derail_ros.api import simulate as simulate
     from derail_ros.api import study as study
+    from derail_ros.nodes.client import SimulatorClient as SimulatorClient
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "simulate", "study"]
+__all__ = ["SimulatorClient", "__version__", "simulate", "study"]
 
 
 def __getattr__(name: str) -> Any:
@@ -16,4 +17,8 @@ def __getattr__(name: str) -> Any:
         from derail_ros import api
 
         return getattr(api, name)
+    if name == "SimulatorClient":
+        from derail_ros.nodes.client import SimulatorClient
+
+        return SimulatorClient
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

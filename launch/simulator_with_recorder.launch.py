@@ -21,10 +21,14 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "bag", default_value="derail_bag", description="folder to write"
             ),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="namespace of both nodes"
+            ),
             Node(
                 package="derail_ros",
                 executable="recorder",
                 name="recorder",
+                namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 parameters=[{"path": bag}],
             ),

@@ -3,24 +3,17 @@
 from launch import LaunchDescription
 from launch.actions import IncludeLaunchDescription
 from launch.substitutions import PathJoinSubstitution
-from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Start the simulator, and RViz with config/derail_ros.rviz (fixed frame map, no TF)."""
+    """Start the simulator, and RViz with config/derail_ros.rviz (fixed frame map)."""
     share = FindPackageShare("derail_ros")
     return LaunchDescription(
         [
             IncludeLaunchDescription(
-                PathJoinSubstitution([share, "launch", "simulator.launch.py"])
-            ),
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                name="rviz2",
-                arguments=["-d", PathJoinSubstitution([share, "config", "derail_ros.rviz"])],
-                parameters=[{"use_sim_time": True}],
+                PathJoinSubstitution([share, "launch", "simulator.launch.py"]),
+                launch_arguments={"rviz": "true"}.items(),
             ),
         ]
     )

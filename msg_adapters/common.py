@@ -8,6 +8,9 @@ from typing import Any, Literal
 from msg_adapters.definitions import message_class
 
 NANOSECONDS = 1_000_000_000
+TIME_ZERO = NANOSECONDS
+"""Simulation time at which the first run begins, and one after a reset of time, ns. Above zero,
+which for clocks, transforms and recorders of ROS means that a time is not set."""
 
 
 def nanoseconds(seconds: float) -> int:
@@ -56,7 +59,7 @@ class RunContext:
     """
 
     run_id: str
-    base: int = 0
+    base: int = TIME_ZERO
     frame_id: str = "map"
 
     def stamp(self, time: float) -> int:

@@ -12,13 +12,7 @@ import numpy as np
 
 from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 from derail_ros.vocabulary.params import TrainParams
-from msg_adapters.common import (
-    NANOSECONDS,
-    SENTINEL,
-    SENTINEL_SECONDS,
-    RunContext,
-    SentinelContext,
-)
+from msg_adapters.common import NANOSECONDS, RunContext
 from msg_adapters.definitions import fields_of, message_class, serialize
 from msg_adapters.reports import quantity
 
@@ -75,44 +69,6 @@ class PoseEncoder:
         self._poses[:, 0:3] = sample.pose[:, 0:3]
         self._poses[:, 3:7] = quaternions(sample.pose)
         return bytes(self._data)
-
-
-class TransformEncoder:
-    """`/tf`: frames `car_1` ... at the mass centres, x along the car, in the inertial frame."""
-
-    def __init__(self, n_cars: int, context: RunContext) -> None:
-        self.context = context
-        vector = message_class("geometry_msgs/msg/Vector3")
-        quaternion = message_class("geometry_msgs/msg/Quaternion")
-        transform = message_class("geometry_msgs/msg/Transform")
-        stamped = message_class("geometry_msgs/msg/TransformStamped")
-        marked = SentinelContext("", 0, context.frame_id)
-        template = message_class("tf2_msgs/msg/TFMessage")(
-            [
-                stamped(
-                    marked.header(0.0),
-                    f"car_{i}",
-                    transform(vector(SENTINEL, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)),
-                )
-                for i in range(1, n_cars + 1)
-            ]
-        )
-        data = serialize(template)
-        self._size = len(data)
-        self._data = bytearray(data + bytes(-(len(data) - 4) % 8))
-        self._doubles = np.frombuffer(self._data, "<f8", offset=4)
-        self._words = np.frombuffer(self._data, "<u4", offset=4)
-        self._places = np.flatnonzero(self._doubles == SENTINEL)
-        self._seconds = np.flatnonzero(self._words == SENTINEL_SECONDS)
-
-    def __call__(self, sample: Sample) -> bytes:
-        """CDR bytes of ``tf2_msgs/TFMessage``."""
-        seconds, rest = divmod(self.context.stamp(sample.time), NANOSECONDS)
-        self._words[self._seconds], self._words[self._seconds + 1] = seconds, rest
-        at, d = self._places, self._doubles
-        d[at[:, None] + np.arange(3)] = sample.pose[:, 0:3]
-        d[at[:, None] + np.arange(3, 7)] = quaternions(sample.pose)
-        return bytes(self._data[: self._size])
 
 
 class FlatEncoder:

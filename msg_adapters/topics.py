@@ -94,6 +94,9 @@ TOPICS: dict[str, Topic] = {
     )
 }
 
+EVERYWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout", "/tf", "/tf_static")
+"""Topics that belong to the whole graph."""
+
 STATE_TOPICS = ("car_poses", "train_state", "coupler_states", "energy")
 """Topics sent at each tick."""
 
@@ -102,14 +105,18 @@ MANIFEST = Topic("manifest", "std_msgs/msg/String", 1, True, "first and last in 
 
 
 TRANSFORMS = Topic(
-    "/tf",
-    "tf2_msgs/msg/TFMessage",
-    100,
-    False,
-    f"{STATE_RATE}; with `publish_tf`, where tf2_msgs is installed",
-    recorded=False,
+    "/tf", "tf2_msgs/msg/TFMessage", 100, False, f"{STATE_RATE}; with `publish_tf`", False
 )
-"""Frames of the cars; not in the table above, for tf2_msgs is not everywhere."""
+LIVE_TOPICS = {
+    topic.name: topic
+    for topic in (
+        Topic("robot_description", "std_msgs/msg/String", 1, True, "on load and reset", False),
+        Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1, True, "on load and reset", False),
+        Topic("joint_states", "sensor_msgs/msg/JointState", 10, False, STATE_RATE, False),
+        TRANSFORMS,
+    )
+}
+"""Topics that no recording of the simulator holds, for they follow from those above."""
 
 
 def bag_qos(topic: Topic) -> Qos:

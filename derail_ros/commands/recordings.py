@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import typer
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
-from derail_ros.commands.options import Bag, Json, Namespace, NewDir, WhichRun, written
+from derail_ros.commands.options import Bag, Json, Namespace, NewDir, Texts, WhichRun, written
 from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
@@ -227,6 +228,13 @@ def play(
     loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for the service resume.")] = False,
     clock: Annotated[bool, typer.Option(help="Publish /clock.")] = True,
+    topics: Annotated[
+        Texts, typer.Option(help="A topic to play, or a pattern of names; may be repeated.")
+    ] = None,
+    exclude: Annotated[Texts, typer.Option(help="A topic not to play, in the same way.")] = None,
+    remap: Annotated[
+        Texts, typer.Option(metavar="FROM:=TO", help="Another name for a topic; may be repeated.")
+    ] = None,
 ) -> int:
     """Publish a recording on a ROS 2 graph, with the node player."""
     from derail_ros.recording.storage import open_bag
@@ -259,6 +267,13 @@ def play(
     for name, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(float(value))
         arguments += ["-p", f"{name}:={text}"]
+    for name, names in (("topics", topics), ("exclude", exclude)):
+        if names:
+            arguments += ["-p", f"{name}:={json.dumps(list(names))}"]
+    for rule in remap or ():
+        if not all(rule.partition(":=")):
+            raise CommandFailure(f"--remap: must be FROM:=TO, got {rule}")
+        arguments += ["-r", rule]
     return main(arguments)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from derail_ros.nodes import commands, loading
 from derail_ros.nodes.commands import Answer, CommandLog, Refusal, Request
+from derail_ros.nodes.live import live
 from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.own_recording import OwnRecording
 from derail_ros.nodes.pace import Pace
@@ -23,11 +24,10 @@ from derail_ros.nodes.parameters import Settings
 from derail_ros.recording.session import Prepared, Rates, Session
 from derail_ros.vocabulary.errors import CommandError
 from derail_ros.vocabulary.events import EventKind
-from msg_adapters.common import RunContext
-from msg_adapters.topics import TRANSFORMS
+from msg_adapters import reports
+from msg_adapters.common import NANOSECONDS, TIME_ZERO, RunContext
+from msg_adapters.markers import clear
 
-TIME_ZERO = 0
-"""Simulation time of the first run, and of a reset to time zero, ns."""
 NO_RUN = "no run is loaded"
 
 
@@ -47,6 +47,7 @@ class _Stepping:
     request: Request
     left: int
     done: Callable[[Answer], None]
+    progress: Callable[[int, int], bool] | None = None
 
 
 class SimulatorCore:
@@ -67,12 +68,15 @@ class SimulatorCore:
         self.state = State.STOPPED
         self.session: Session | None = None
         self.failure = ""
+        self.twins: list[str] = []
+        self.listened: dict[str, int] = {}
         self.pace = Pace(settings, wall)
         self.recording = OwnRecording(settings, logger)
         self.log = CommandLog(self._emit, logger)
         self._output = output
         self._logger = logger
         self._base = TIME_ZERO
+        self._told = 0
         self._stepping: _Stepping | None = None
 
     # --- where things stand ------------------------------------------------------------------
@@ -109,9 +113,57 @@ class SimulatorCore:
         """Whether a request for ticks is being carried out."""
         return self._stepping is not None
 
-    def _emit(self, topic: str, stamp: int, data: bytes) -> None:
-        """Publish and record a message."""
+    @property
+    def active(self) -> bool:
+        """Whether the run goes on: it plays, or a request for ticks is being carried out."""
+        return self.state == State.PLAYING or self.stepping
+
+    def listening(self) -> dict[str, int]:
+        """Number of subscribers of each topic of the state."""
+        topics = () if self.session is None else self.session.state_topics
+        return {topic: self._output.subscribers(topic) for topic in topics}
+
+    @property
+    def paced(self) -> bool:
+        """Whether ticks wait for the wall clock."""
+        return not self.stepping and self.settings.speed_factor > 0.0
+
+    @property
+    def now(self) -> int:
+        """Simulation time of the clock, ns: between two ticks it goes on with the wall clock, or
+        with the computation, but not beyond the tick to come; it never goes back in a run."""
+        session = self.session
+        if session is None or not self.active:
+            return max(self._told, self.stamp)
+        if self.paced:
+            share = self.pace.share
+        else:
+            share = (session.simulation.time - session.time) / session.tick_length
+        ahead = min(max(share, 0.0), 1.0) * session.tick_length
+        # What has the stamp of the tick to come is not there yet.
+        return max(self._told, self.stamp, self.stamp + int(ahead * NANOSECONDS) - 1)
+
+    def tell_time(self, stamp: int) -> None:
+        """Send `/clock` if it is not as far as a stamp."""
+        if stamp > self._told:
+            self._told = stamp
+            self.send_clock(stamp)
+
+    def send_clock(self, stamp: int) -> None:
+        """Send `/clock`."""
+        self._told = stamp
+        if self.settings.publish_clock:
+            self.pace.clock_sent()
+            self._output.publish("/clock", reports.clock(stamp))
+
+    def _emit_live(self, topic: str, stamp: int, data: bytes) -> None:
+        """Publish a message that is not recorded."""
+        self.tell_time(stamp)
         self._output.publish(topic, data)
+
+    def _emit(self, topic: str, stamp: int, data: bytes) -> None:
+        """Publish and record a message; the clock is as far as its stamp before it goes out."""
+        self._emit_live(topic, stamp, data)
         self.recording.write(topic, stamp, data)
 
     # --- requests ----------------------------------------------------------------------------
@@ -147,18 +199,51 @@ class SimulatorCore:
         )
 
     def load(
-        self, prepared: Prepared | ValueError, request: Mapping[str, Any], caller: str = ""
+        self,
+        prepared: Prepared | ValueError,
+        request: Mapping[str, Any],
+        caller: str = "",
+        state: State | None = None,
     ) -> Answer:
-        """Begin a run of a prepared scenario, or refuse with the error of its preparation."""
+        """Begin a run of a prepared scenario, or refuse with the error of its preparation.
+
+        It plays or is paused as the request wants, or is in the state given.
+        """
 
         def act() -> str:
             if isinstance(prepared, ValueError):
                 raise Refusal(str(prepared))
             self._begin(prepared, EventKind.RUN_LOADED)
-            self._go(State.PAUSED if request["start_paused"] else State.PLAYING)
+            wanted = State.PAUSED if request["start_paused"] else State.PLAYING
+            self._go(wanted if state is None else state)
             return f"loaded {prepared.name}: {prepared.simulation.n_cars} cars, run {self.run_id}"
 
         return self._serve(Request("load_consist", request, caller), act)
+
+    def unload(self, caller: str = "") -> Answer:
+        """End the run and have none."""
+
+        def act() -> str:
+            ended = self._session
+            self._end("the run is unloaded")
+            self._output.publish("markers", clear(ended.context, ended.time))
+            self._output.renew()
+            self.session, self.failure = None, ""
+            self._go(State.STOPPED)
+            return f"unloaded {ended.prepared.name}"
+
+        return self._serve(Request("unload_world", {}, caller), act)
+
+    def _end(self, why: str) -> None:
+        """End the present run, if there is one."""
+        self._interrupt(why)
+        self.state = State.PAUSED  # what was left of a tick goes with its run
+        if self.session is not None:
+            self.session.stop()
+            self.recording.enter(self.session)
+            # No stamp twice: what comes begins a tick after it.
+            end = self.session.time + self.session.tick_length
+            self._base = self.session.context.stamp(end)
 
     def reset(self, mode: int, caller: str = "") -> Answer:
         """Begin the loaded scenario again, in the same state; mode 1 also sets time to zero."""
@@ -202,7 +287,7 @@ class SimulatorCore:
         def act() -> str:
             commands.one_of("state", wanted, len(State))
             state = State(wanted)
-            if state == self.state:
+            if state == self.state and not self.stepping:
                 return f"already {state.name.lower()}"
             self._check_transition(state)
             self._interrupt(f"the state became {state.name.lower()}")
@@ -224,9 +309,17 @@ class SimulatorCore:
             raise Refusal(f"the run has {how}; reset it or load another")
 
     def step_simulation(
-        self, ticks: int, done: Callable[[Answer], None], caller: str = ""
+        self,
+        ticks: int,
+        done: Callable[[Answer], None],
+        caller: str = "",
+        progress: Callable[[int, int], bool] | None = None,
     ) -> None:
-        """Advance a paused simulation; ``done`` gets the answer when the ticks are done."""
+        """Advance a paused simulation; ``done`` gets the answer when the ticks are done.
+
+        ``progress`` gets, after each tick, how many are done and how many are left, and says
+        whether to go on.
+        """
         reason = ""
         if self.session is None:
             reason = NO_RUN
@@ -242,7 +335,7 @@ class SimulatorCore:
         if reason:
             done(self._answer(request, False, reason))
         else:
-            self._stepping = _Stepping(request, ticks, done)
+            self._stepping = _Stepping(request, ticks, done, progress)
 
     def _interrupt(self, why: str = "") -> None:
         """Answer a request for ticks, which is done or which something has put an end to."""
@@ -261,15 +354,10 @@ class SimulatorCore:
 
     def _begin(self, prepared: Prepared, kind: EventKind, *, time_to_zero: bool = False) -> None:
         """Begin a run, and end the present one."""
-        self._interrupt("a new run has begun")
-        if self.session is not None:
-            self.session.stop()
-            self.recording.enter(self.session)
-            # No stamp twice: the new run begins a tick after the old one.
-            self._base = self.session.context.stamp(self.session.time + self.session.tick_length)
-            if time_to_zero:
-                self._base = TIME_ZERO
-                self.recording.restart(self.session)
+        self._end("a new run has begun")
+        if self.session is not None and time_to_zero:
+            self._base, self._told = TIME_ZERO, 0
+            self.recording.restart(self.session)
         self._output.renew()
         settings, recorded = self.settings, bool(self.recording.path)
         self.session = session = Session(
@@ -280,20 +368,21 @@ class SimulatorCore:
             kind=kind,
             rates=Rates(settings.state_rate, settings.marker_rate if recorded else 0.0),
             record_markers=self.recording.write if recorded else None,
-            live_transforms=self._publish_transforms if settings.publish_tf else None,
+            live=live(settings, self._output, self._logger),
+            emit_live=self._emit_live,
         )
         self.failure = ""
+        self.listened = self.listening()
         self.recording.begin_run(session)
-        self.pace.tick_length = session.tick_length
+        self.pace.begin(session.tick_length)
         session.begin()
         self._logger.info(f"run {self.run_id} of {prepared.name} begins")
         for warning in prepared.warnings:
             self._logger.warning(f"{prepared.name}: {warning}")
 
-    def _publish_transforms(self, data: bytes) -> None:
-        self._output.publish(TRANSFORMS.name, data)
-
     def _go(self, state: State) -> None:
+        if self.state == State.PLAYING != state:
+            self.pace.pause()
         self.state = state
         if state == State.PLAYING:
             self.pace.play()
@@ -310,10 +399,15 @@ class SimulatorCore:
             self.recording.enter(session)
             self._logger.info(f"run {self.run_id} has ended: {session.status}")
             return True
-        if self._stepping is not None and self._stepping.left == 0:
-            self._interrupt()
-            return True
-        return False
+        stepping = self._stepping
+        if stepping is None:
+            return False
+        made = int(stepping.request.fields["ticks"]) - stepping.left
+        goes_on = stepping.progress is None or stepping.progress(made, stepping.left)
+        if stepping.left and goes_on:
+            return False
+        self._interrupt("the request was cancelled")
+        return True
 
     def fail(self, session: Session) -> None:
         """The run cannot go on: pause, and keep its state."""

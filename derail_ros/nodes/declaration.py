@@ -35,7 +35,7 @@ def descriptor(parameter: Parameter) -> Any:
         additional_constraints=", ".join(parameter.choices),
         read_only=parameter.read_only,
         # rclpy would refuse an integer for a double; check() decides.
-        dynamic_typing=parameter.type_name == "double",
+        dynamic_typing=parameter.type_name == "double" or parameter.numeric,
     )
     if parameter.limits is not None:
         low, high = parameter.limits
@@ -63,10 +63,14 @@ def declare(node: Any, name: str) -> dict[str, Value]:
         # `ros2 param dump` come out empty.
         default = parameter.default if parameter.default != [] else [""]
         given = _overrides(node).get(parameter.name)
-        if given is not None:
+        # An empty list in a file comes as a parameter without a type.
+        none = given is not None and given.value is None and parameter.default == []
+        if given is not None and not none:
             parameter.check(_plain(given.value))
         try:
-            declared = node.declare_parameter(parameter.name, default, descriptor(parameter))
+            declared = node.declare_parameter(
+                parameter.name, default, descriptor(parameter), ignore_override=none
+            )
         except ParameterException as error:
             raise ValueError(f"{parameter.name}: {error}") from error
         value = _plain(declared.value)

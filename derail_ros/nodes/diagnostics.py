@@ -56,6 +56,9 @@ class Diagnostics:
         elif steady and factor < TOO_SLOW * settings.speed_factor:
             level = Level.WARN
             message = f"slower than asked: {factor:.2f} instead of {settings.speed_factor:g}"
+        if core.twins:
+            level = max(level, Level.WARN)
+            message += f"; another node publishes {', '.join(core.twins)} as well"
         if error := core.failure or core.recording.error:
             level, message = Level.ERROR, error
         values: dict[str, Any] = {
@@ -71,9 +74,11 @@ class Diagnostics:
         if session is not None:
             values |= self._of_run(session)
         self._since, self.simulated, self.due = now, 0.0, now + EVERY
-        name = f"{settings.name}: simulation"
+        name = settings.full_name
         return serialize(
-            reports.diagnostics(core.stamp, name, level, message, values, "derail_ros")
+            reports.diagnostics(
+                core.stamp, f"{name}: simulation", level, message, values, f"derail_ros {name}"
+            )
         )
 
     def _of_run(self, session: Session) -> dict[str, Any]:

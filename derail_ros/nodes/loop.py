@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from derail_ros.nodes.core import SimulatorCore, State
+from derail_ros.nodes.core import SimulatorCore
 from derail_ros.nodes.diagnostics import Diagnostics
 from derail_ros.nodes.outputs import Output
 from derail_ros.recording.session import Session
 from derail_ros.vocabulary.errors import SimulationError
-from msg_adapters import reports
 
 SLICE = 0.008
 """Wall time of computing after which requests are served, s."""
 IDLE = 0.1
 """Wall time after which the loop goes round even if nothing is due, s."""
+PRESENT = (0.0, 1.0, 3.0, 8.0)
+"""Wall times after which a new subscriber gets the present state, s: more than once, for it may
+match on its side long after here, and then misses what was sent before."""
 CLEARS = 3
 """Marker messages of a new run that clear the view: one (depth 1) could be overwritten."""
 
@@ -31,14 +33,10 @@ class Loop:
         self._shown: Session | None = None
         self._fresh = False
         self._clears = 0
-
-    @property
-    def _active(self) -> bool:
-        return self._core.state == State.PLAYING or self._core.stepping
-
-    @property
-    def _paced(self) -> bool:
-        return not self._core.stepping and self._core.settings.speed_factor > 0.0
+        self._still: Session | None = None
+        self._sent = 0
+        self._heard_by: dict[str, int] = {}
+        self._due: dict[str, list[float]] = {}
 
     def work(self) -> float:
         """Do what is due, for about a slice at most.
@@ -49,7 +47,7 @@ class Loop:
             Wall time (s) until which nothing is due; if it has passed, there is more to do.
         """
         now = self._wall()
-        if self._active:
+        if self._core.active:
             # Compute before sending: what is due in this slice then goes out fresh.
             self._advance(now)
             now = self._wall()
@@ -59,8 +57,9 @@ class Loop:
             self._send_markers(now),
             self._send_diagnostics(now),
         )
-        if self._active:
-            due = min(due, self._core.pace.tick if self._paced else now)
+        self._send_present(now)
+        if self._core.active:
+            due = min(due, self._core.pace.tick if self._core.paced else now)
         return due
 
     def _advance(self, now: float) -> None:
@@ -70,7 +69,7 @@ class Loop:
             return
         end = now + SLICE
         while True:
-            paced = self._paced
+            paced = core.paced
             if paced and not core.pace.tick_due(now):
                 return
             before = session.time
@@ -94,7 +93,7 @@ class Loop:
         if not core.settings.publish_clock:
             return math.inf
         if core.pace.clock_due(now):
-            self._output.publish("/clock", reports.clock(core.stamp))
+            core.send_clock(core.now)
         return core.pace.next_clock
 
     def _send_markers(self, now: float) -> float:
@@ -109,6 +108,31 @@ class Loop:
             self._clears = max(0, self._clears - 1)
             self._fresh = False
         return pace.next_markers(self._fresh)
+
+    def _send_present(self, now: float) -> None:
+        """While nothing moves, send the state to subscribers that have come since."""
+        core, session = self._core, self._core.session
+        if session is None:
+            return
+        counts = core.listening()
+        if session is not self._still or core.active:
+            # Known to have listened to the last tick: those before it, not those of this moment.
+            known = self._heard_by if session is self._still else core.listened
+            self._still, self._sent, self._due = session, 0, {}
+            self._heard_by = counts if core.active else known
+        for name, count in counts.items():
+            if count > self._heard_by.get(name, 0):
+                self._due[name] = [now + after for after in PRESENT]
+        self._heard_by = counts
+        due = {name for name, times in self._due.items() if times and now >= times[0]}
+        if due:
+            # A nanosecond later each time: tf2 complains of a time that it has already.
+            self._sent += 1
+            core.tell_time(session.stamp + self._sent)
+            for name, data in session.present(self._sent):
+                if name in due:
+                    self._due[name].pop(0)
+                    self._output.publish(name, data)
 
     def _send_diagnostics(self, now: float) -> float:
         if now >= self._diagnostics.due:

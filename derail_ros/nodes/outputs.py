@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from msg_adapters.common import NANOSECONDS
-from msg_adapters.topics import rclpy_class
+from msg_adapters.topics import Topic, rclpy_class, rclpy_qos
 
 MATCH_WAIT = 1.0
 """Wall time for which the first messages of a renewed topic wait for its subscribers, s."""
@@ -21,6 +21,10 @@ LISTENERS_WAIT = 10.0
 """Wall time for which a node waits for listeners (parameter await_listeners), s."""
 FIRST_WAIT = 5.0
 """Wall time for which it then waits until its first messages have arrived, s."""
+OFFERED_DEPTH = 100
+"""Depth of the topics of sensors: half a second of the fastest usual ones."""
+TWINS_EVERY = 1.0
+"""Wall time between two looks for other publishers of the same topics, s."""
 NOT_AWAITED = ("clock", "diagnostics", "markers")
 """Topics whose last message nobody needs: the end does not wait for them."""
 
@@ -33,6 +37,12 @@ class Output(Protocol):
 
     def renew(self) -> None:
         """Forget the latched messages: late subscribers get nothing older than this."""
+
+    def subscribers(self, name: str) -> int:
+        """Number of matched subscribers of a topic; 0 if it is not open."""
+
+    def offer(self, name: str, msgtype: str) -> None:
+        """Publish a topic that is not in the table, unless it is published already."""
 
 
 def make_publisher(node: Any, name: str, msgtype: str, qos: Any) -> Any:
@@ -96,6 +106,12 @@ class Outputs:
         """Publish a topic; ``make`` makes its publisher."""
         self._channels[name] = _Channel(make, latched, make())
 
+    def offer(self, name: str, msgtype: str) -> None:
+        """Publish a topic that is not in the table, unless it is published already."""
+        if name not in self._channels:
+            qos = rclpy_qos(Topic(name, msgtype, OFFERED_DEPTH, False, ""))
+            self.open(name, lambda: make_publisher(self._node, name, msgtype, qos))
+
     def close(self, name: str) -> None:
         """Publish a topic no longer."""
         self._node.destroy_publisher(self._channels.pop(name).publisher)
@@ -115,8 +131,9 @@ class Outputs:
             channel.publisher.publish(data)
 
     def subscribers(self, name: str) -> int:
-        """Number of matched subscribers of a topic."""
-        return int(self._channels[name].publisher.get_subscription_count())
+        """Number of matched subscribers of a topic; 0 if it is not open."""
+        channel = self._channels.get(name)
+        return int(channel.publisher.get_subscription_count()) if channel else 0
 
     # --- renewal -----------------------------------------------------------------------------
 
@@ -178,6 +195,38 @@ class Outputs:
         for name, channel in self._channels.items():
             if name.rpartition("/")[2] not in NOT_AWAITED:
                 acknowledged(channel.publisher, max(0.0, end - time.monotonic()))
+
+
+class TwinWatch:
+    """Notices when another node publishes the same topics: subscribers then get both.
+
+    Names cannot tell: a twin has the name of this node. A topic that is watched must not be
+    latched, for then this node has one publisher of it and every further one is another's.
+    """
+
+    def __init__(self, node: Any, topics: Sequence[str], log: Any) -> None:
+        self._node, self._log = node, log
+        self._topics = {name: node.resolve_topic_name(name) for name in topics}
+        self._twins: list[str] = []
+        self._due = 0.0
+
+    def look(self) -> list[str]:
+        """Topics that another node publishes as well; looks once a second, warns of each time."""
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + TWINS_EVERY
+            before = self._twins
+            self._twins = [
+                name
+                for name, full in self._topics.items()
+                if self._node.count_publishers(full) > 1
+            ]
+            if self._twins and not before:
+                self._log.warning(
+                    f"another node publishes {', '.join(self._twins[:3])} as well: subscribers "
+                    "get both"
+                )
+        return self._twins
 
 
 class ListenerWait:

@@ -93,7 +93,7 @@ class OwnRecording:
             self._fail(error)
 
     def close(self, session: Session | None) -> None:
-        """Close the recording whole."""
+        """Close the recording whole, or say why it is not."""
         if self._recorder is None:
             return
         if session is not None:

@@ -38,6 +38,8 @@ class Pace:
         self.overruns = 0
         self._factor = settings.speed_factor
         self._unfinished = False
+        self._left = math.inf
+        self._clock_told = 0.0
         self._clock = 0.0
         self._clock_shift = 0.0
         self._markers = 0.0
@@ -49,10 +51,24 @@ class Pace:
         factor = self.settings.speed_factor
         return self.tick_length / factor if factor > 0.0 else 0.0
 
+    @property
+    def share(self) -> float:
+        """Share of the present tick that has passed, of a run that is not as fast as possible."""
+        return 1.0 - (self.tick - self.wall()) / self.period
+
+    def begin(self, tick_length: float) -> None:
+        """Take up a new run."""
+        self.tick_length, self._left = tick_length, math.inf
+
+    def pause(self) -> None:
+        """Stop playing: the present tick keeps what is left of it."""
+        self._left = max(self.tick - self.wall(), 0.0)
+
     def play(self) -> None:
-        """Begin to play: the next tick is due in a period."""
+        """Begin to play: the next tick is due in a period, or what was left of it."""
         self.changed = self.wall()
-        self.tick = self.changed + self.period
+        self.tick = self.changed + min(self.period, self._left)
+        self._left = math.inf
         self._unfinished = False
         self._align_clock()
 
@@ -64,6 +80,9 @@ class Pace:
         """
         now, settings = self.wall(), self.settings
         if settings.speed_factor != self._factor:
+            if settings.speed_factor > 0.0 and self.tick > now:
+                # What is left of the tick is simulation time.
+                self.tick = now + (self.tick - now) * self._factor / settings.speed_factor
             self._factor, self.changed = settings.speed_factor, now
         # A tick that is later than this was not waited for: the run had no pace.
         tick = self.tick if now - self.tick <= SLACK else now
@@ -105,20 +124,27 @@ class Pace:
 
     @property
     def next_clock(self) -> float:
-        """Wall time at which the next clock message is due, s."""
-        return self._clock + self._clock_shift
+        """Wall time at which the next clock message is due, s; if that is near, with the tick."""
+        due = self._clock + self._clock_shift
+        return self.tick if abs(due - self.tick) < 2.0 * EARLY else due
+
+    def clock_sent(self) -> None:
+        """Note that a clock message goes out."""
+        self._clock_told = self.wall()
 
     def clock_due(self, now: float) -> bool:
-        """Whether a clock message is due; the caller sends it."""
-        if now < self.next_clock - EARLY:
+        """Whether a clock message is due, and none has just gone out; the caller sends it."""
+        due = self.next_clock
+        if now < due - (EARLY if due != self.tick else 0.0):
             return False
         period = 1.0 / self.settings.clock_rate
+        just = now - self._clock_told < 0.5 * period
         self._clock += period
         late = now - (self._clock + 0.5 * period)
         if late > 0.0:
             # Missed messages are left out; the phase stays.
             self._clock += period * math.ceil(late / period)
-        return True
+        return not just
 
     # --- markers -----------------------------------------------------------------------------
 

@@ -7,7 +7,9 @@ it; a test compares them. No ROS in here: ``declaration.py`` declares the table 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +29,10 @@ class Parameter:
     limits : smallest and largest value allowed, of a number
     choices : the values allowed, of a text that has only a few
     read_only : it can be set only when the node starts
+    form : what a text must look like: a regular expression, and the same in words
+    path : a file or folder, or a list of them, in which ``~`` and ``$NAME`` are replaced: what
+        comes from a launch file or a parameter file has not passed through a shell
+    numeric : a text that may be a number, which then comes as one
     """
 
     name: str
@@ -36,6 +42,9 @@ class Parameter:
     limits: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    form: tuple[str, str] | None = None
+    path: bool = False
+    numeric: bool = False
 
     @property
     def type_name(self) -> str:
@@ -54,7 +63,7 @@ class Parameter:
         """The values allowed, in words; "" if all values of the type are."""
         if self.limits is not None:
             return f"{self.limits[0]:g} to {self.limits[1]:g}"
-        return ", ".join(self.choices)
+        return self.form[1] if self.form else ", ".join(self.choices)
 
     def check(self, value: Any) -> Value:
         """The value in the parameter's type; a whole number is accepted for a double.
@@ -68,6 +77,8 @@ class Parameter:
         """
         if isinstance(self.default, float) and type(value) is int:
             value = float(value)
+        if self.numeric and type(value) is int:
+            value = str(value)
         if isinstance(self.default, list):
             fits = isinstance(value, (list, tuple)) and all(isinstance(v, str) for v in value)
             value = list(value) if fits else value
@@ -77,12 +88,26 @@ class Parameter:
             raise ValueError(f"{self.name} must be of type {self.type_name}, got {value!r}")
         if self.choices and value not in self.choices:
             raise ValueError(f"{self.name} must be one of {self.range}, got {value!r}")
+        if self.form and not re.fullmatch(self.form[0], value):
+            raise ValueError(f"{self.name} must be {self.range}, got {value!r}")
+        if self.path:
+            return [_expanded(v) for v in value] if isinstance(value, list) else _expanded(value)
         # False for NaN, too.
         if self.limits is not None and not self.limits[0] <= value <= self.limits[1]:
             unit = f" {self.unit}" if self.unit not in ("", "1") else ""
             raise ValueError(f"{self.name} must be {self.range}{unit}, got {value:g}")
         return value  # type: ignore[no-any-return]
 
+
+def _expanded(path: str) -> str:
+    return os.path.expandvars(os.path.expanduser(path))
+
+
+FRAME = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
+"""A name of a frame that tf2 and RViz take."""
+
+NAMESPACE = "namespace"
+"""The frame prefix that stands for the namespace of the node."""
 
 PUBLISH_CLOCK = Parameter(
     "publish_clock", True, "publish `/clock`, unless another node does", read_only=True
@@ -103,6 +128,59 @@ STORAGE = Parameter(
     "storage", "mcap", "storage of the recording", choices=("mcap", "sqlite3"), read_only=True
 )
 
+CARS = r"(all|\d{1,4}(-\d{1,4})?)"
+SENSORS: dict[str, dict[str, Any]] = {
+    "odometry": {"what": "pose and velocity (nav_msgs/Odometry)", "rate": 50.0},
+    "imu": {
+        "what": "acceleration and rates of turn (sensor_msgs/Imu) at a place of the car, such as "
+        "`20:front_truck`; `body`, unless it is given, `front_truck` or `rear_truck`",
+        "rate": 200.0,
+        "unit": "m/s^2",
+        "places": "(:(body|front_truck|rear_truck))?",
+    },
+    "navsat": {
+        "what": "place on the Earth (sensor_msgs/NavSatFix), of scenarios with `site.datum`",
+        "rate": 5.0,
+        "unit": "m",
+    },
+    "wheel_speed": {
+        "what": "speed by the wheels of the front truck (geometry_msgs/TwistStamped)",
+        "rate": 20.0,
+        "unit": "m/s",
+    },
+    "pipe_pressure": {
+        "what": "pressure of the brake pipe (sensor_msgs/FluidPressure)",
+        "rate": 20.0,
+        "unit": "Pa",
+    },
+}
+"""Sensors that cars can have, each with the topic `car_N/...` of its own."""
+
+
+def _sensor(
+    name: str, *, what: str, rate: float, unit: str = "", places: str = ""
+) -> Iterator[Parameter]:
+    """The parameters of a kind of sensor: which cars have it, its rate and its noise."""
+    one = f"{CARS}{places}"
+    yield Parameter(
+        name,
+        "",
+        f"cars that have the sensor, such as `1 20-25` or `all`: {what}",
+        read_only=True,
+        numeric=True,
+        form=(f"\\s*({one}([\\s,]+{one})*)?\\s*", "numbers of cars, ranges a-b of them, or all"),
+    )
+    yield Parameter(
+        f"{name}_rate", rate, "its messages per second of run time", "Hz", (0.1, 5000.0),
+        read_only=True,
+    )  # fmt: skip
+    if unit:
+        yield Parameter(
+            f"{name}_noise", 0.0, "standard deviation of its noise", unit, (0.0, 1e9),
+            read_only=True,
+        )  # fmt: skip
+
+
 SIMULATOR = (
     Parameter(
         "scenario",
@@ -115,6 +193,7 @@ SIMULATOR = (
         [],
         "folders searched for scenarios before the shipped ones",
         read_only=True,
+        path=True,
     ),
     Parameter(
         "speed_factor",
@@ -142,9 +221,18 @@ SIMULATOR = (
     PUBLISH_CLOCK,
     Parameter(
         "publish_tf",
-        False,
-        "publish the frames `car_1`, `car_2`, ... on `/tf` at each tick; needs tf2_msgs",
+        True,
+        "publish the frames of the cars and couplers on `/tf` at each tick, those of trucks and "
+        "heads of couplers on `/tf_static`",
         read_only=True,
+    ),
+    Parameter(
+        "frame_prefix",
+        NAMESPACE,
+        f"put before the names of the train's frames and joints; `{NAMESPACE}`: the node's "
+        "namespace, so that trains in different ones have different frames",
+        read_only=True,
+        form=(f"({FRAME}/?)?", "the beginning of a frame's name, such as north/"),
     ),
     CLOCK_RATE,
     Parameter("start_paused", False, "load the first scenario paused, not playing"),
@@ -152,14 +240,40 @@ SIMULATOR = (
     Parameter("auto_exit", False, "end the node when the run has ended"),
     Parameter("allow_quit", False, "let `~/set_simulation_state` end the node"),
     Parameter(
+        "legacy_service_names",
+        False,
+        "offer `~/set_simulation_state`, `~/step_simulation` and `~/reset_simulation` with the "
+        "types of derail_msgs, as before, in place of the standard's",
+        read_only=True,
+    ),
+    Parameter(
         "record",
         "",
         "folder of the lossless recording that the simulator writes; it must not exist; "
         "empty: no recording",
         read_only=True,
+        path=True,
+    ),
+    *(parameter for sensor in SENSORS for parameter in _sensor(sensor, **SENSORS[sensor])),
+    Parameter(
+        "imu_turn_noise",
+        0.0,
+        "standard deviation of the rates of turn",
+        "rad/s",
+        (0.0, 10.0),
+        read_only=True,
+    ),
+    Parameter(
+        "sensor_seed", 0, "seed of the noise of the sensors", "1", (0, 2**31), read_only=True
     ),
     dataclasses.replace(STORAGE, name="record_storage", description="storage of that recording"),
-    Parameter("frame_id", "map", "inertial frame of all messages", read_only=True),
+    Parameter(
+        "frame_id",
+        "map",
+        "inertial frame of all messages",
+        read_only=True,
+        form=(FRAME, "the name of a frame: letters, digits, _ . - and / between them"),
+    ),
 )
 
 
@@ -169,7 +283,7 @@ def _fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
 
 
 RECORDER = _fixed(
-    Parameter("path", "derail_bag", "folder of the recording; it must not exist"),
+    Parameter("path", "derail_bag", "folder of the recording; it must not exist", path=True),
     STORAGE,
     Parameter(
         "topics",
@@ -190,7 +304,7 @@ RECORDER = _fixed(
 )
 
 PLAYER = _fixed(
-    Parameter("path", "", "the recording: its folder, or a file of it; required"),
+    Parameter("path", "", "the recording: its folder, or a file of it; required", path=True),
     Parameter(
         "rate",
         1.0,
@@ -200,6 +314,12 @@ PLAYER = _fixed(
     ),
     Parameter("start_offset", 0.0, "recorded time to skip at the start", "s", (0.0, 1e9)),
     Parameter("loop", False, "start again at the end"),
+    Parameter(
+        "topics",
+        [],
+        "topics to play, by their names in the recording or patterns of them; empty: all",
+    ),
+    Parameter("exclude", [], "topics not to play, in the same way"),
     Parameter("start_paused", False, "wait for `~/resume`"),
     Parameter(
         "auto_exit", True, "end the node when everything has been played; otherwise it pauses"
@@ -229,6 +349,18 @@ class Settings:
         if unknown:
             raise TypeError(f"no such setting: {', '.join(unknown)}")
         self.update(defaults | given)
+
+    @property
+    def prefix(self) -> str:
+        """What the names of the frames of the train begin with."""
+        if self.frame_prefix != NAMESPACE:
+            return str(self.frame_prefix)
+        return f"{self.namespace.strip('/')}/".lstrip("/")
+
+    @property
+    def full_name(self) -> str:
+        """Name of the node with its namespace, without the first slash."""
+        return f"{self.namespace.strip('/')}/{self.name}".lstrip("/")
 
     def update(self, values: Mapping[str, Any]) -> None:
         """Take new values, which have been checked."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import bisect
+import fnmatch
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from derail_ros.nodes.outputs import Output
+from derail_ros.nodes.time_base import time_base
 from derail_ros.recording.channels import Channel
 from derail_ros.recording.decoding import present_bytes
 from derail_ros.recording.storage import BagError, open_bag
@@ -33,9 +35,13 @@ Item = tuple[int, str, bytes]
 class Playback:
     """A recording that is played; it must be whole. ``output`` may be set later.
 
+    ``topics`` are those to play, ``exclude`` those not to: names as in the recording, or patterns
+    as of a shell. Without ``topics`` all are played.
+
     Attributes
     ----------
-    start, end : recorded time of the first and last message, ns
+    start, end : times of the log of the first and last message, ns
+    base : simulation time over the times of the log
     channels : the topics that are played
     rate : recorded time per wall time
     paused : time stands still
@@ -54,6 +60,8 @@ class Playback:
         path: str | Path,
         output: Output | None = None,
         wall: Callable[[], float] = time.monotonic,
+        topics: Sequence[str] = (),
+        exclude: Sequence[str] = (),
     ) -> None:
         self.bag = open_bag(path)
         if not self.bag.intact:
@@ -66,7 +74,9 @@ class Playback:
         if span is None:
             raise BagError(f"{self.bag.path}: no message in it")
         self.start, self.end = span
-        self.channels = [c for c in self.bag.channels if self._is_played(c)]
+        self.base = time_base(self.bag)
+        self.channels = self._chosen(topics, exclude)
+        self._names = {c.topic for c in self.channels}
         self._latched_names = {c.topic for c in self.channels if c.latched}
         self._latched: list[Item] = [
             (stamp, channel.topic, present_bytes(channel, data))
@@ -84,9 +94,27 @@ class Playback:
     def _is_latched(self, channel: Channel) -> bool:
         return channel.topic in self._latched_names
 
-    @staticmethod
-    def _is_played(channel: Channel) -> bool:
-        return channel.topic not in OWN_CLOCK
+    def _is_played(self, channel: Channel) -> bool:
+        return channel.topic in self._names
+
+    def _chosen(self, topics: Sequence[str], exclude: Sequence[str]) -> list[Channel]:
+        """The topics that are played."""
+        known = [c.topic for c in self.bag.channels if c.topic not in OWN_CLOCK]
+
+        def named(what: str, patterns: Sequence[str]) -> set[str]:
+            found: set[str] = set()
+            for pattern in patterns:
+                matches = fnmatch.filter(known, f"/{pattern.lstrip('/')}")
+                if not matches:
+                    have = ", ".join(known)
+                    raise BagError(f"{what}: no topic {pattern} in {self.bag.path}; it has {have}")
+                found |= set(matches)
+            return found
+
+        names = (named("topics", topics) or set(known)) - named("exclude", exclude)
+        if not names:
+            raise BagError(f"exclude: nothing of {self.bag.path} is left to play")
+        return [c for c in self.bag.channels if c.topic in names]
 
     def close(self) -> None:
         """Close the recording."""
@@ -96,11 +124,16 @@ class Playback:
 
     @property
     def now(self) -> int:
-        """Recorded time, ns."""
+        """Time of the log, ns."""
         if self.paused:
             return self._now
         elapsed = (self._wall() - self._anchor) * self.rate * NANOSECONDS
         return min(self._now + int(elapsed), self.end)
+
+    @property
+    def clock(self) -> int:
+        """Simulation time, ns."""
+        return self.base.time(self.now)
 
     def _set(self, now: int) -> None:
         self._now, self._anchor = now, self._wall()
@@ -131,8 +164,13 @@ class Playback:
         self.rate = float(rate)
         return True
 
+    def seek_time(self, time: int) -> bool:
+        """Go on from another simulation time (ns); refused outside the recording."""
+        stamp = self.base.log(time)
+        return stamp is not None and self.seek(stamp)
+
     def seek(self, stamp: int) -> bool:
-        """Go on from another moment (ns); refused outside the recording.
+        """Go on from another time of the log (ns); refused outside the recording.
 
         Subscribers get again what is latched at that moment, and the last state before it.
         """

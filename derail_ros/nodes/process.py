@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
+import os
 import signal
 import sys
 import time
@@ -12,17 +14,24 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-from derail_ros.nodes.declaration import usage
 from derail_ros.nodes.shared_memory import sweep
 
 OK = 0
 """Exit code: the node has ended as it was told to."""
 FAILED = 1
-"""Exit code: the node could not start, or its run has failed."""
+"""Exit code: the node could not start, its run has failed, or a recording is not whole."""
+
+PROGRAMS = {
+    "simulator": ("simulator_node", "Simulator"),
+    "recorder": ("recorder_node", "Recorder"),
+    "player": ("player_node", "Player"),
+}
+"""Node -> module and class of its program. They are imported once signals are heeded: importing
+takes a second or two, and a signal meanwhile must end the process quietly."""
 
 
-class StartError(Exception):
-    """A node cannot start, for a reason that its user can remove."""
+class NodeError(Exception):
+    """A node cannot start, or has not done all it was asked to; the text is one line."""
 
 
 class Interrupted(BaseException):
@@ -35,7 +44,7 @@ def starting() -> Iterator[None]:
     try:
         yield
     except (ValueError, RuntimeError, OSError) as error:
-        raise StartError(str(error)) from error
+        raise NodeError(str(error)) from error
 
 
 class Stop:
@@ -48,13 +57,28 @@ class Stop:
     def __init__(self) -> None:
         self.asked = False
         self._raises = False
+        self._leaves = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
+        if self._leaves:
+            os._exit(OK)
         if self._raises:
             raise Interrupted
+
+    def importing(self, module: str) -> Any:
+        """Import a module; a signal meanwhile ends the process at once, for nothing is open yet.
+
+        An exception in the middle of an import would surface as a traceback of whatever is
+        imported just then.
+        """
+        self._leaves = True
+        try:
+            return importlib.import_module(module)
+        finally:
+            self._leaves = False
 
     def during(self, work: Callable[[], Any]) -> Any:
         """Do long work; a signal before or meanwhile raises :class:`Interrupted`."""
@@ -69,6 +93,9 @@ class Stop:
 
 class Program(ABC):
     """What a node does; :func:`run_node` makes it with a node of ``rclpy`` and drives it."""
+
+    fault = ""
+    """Why something that was asked for is not whole: told at the end, which is a failure."""
 
     def __init__(self, node: Any) -> None:
         self.node = node
@@ -96,19 +123,22 @@ class Program(ABC):
         """Finish; called once, however the node ends."""
 
 
-def run_node(name: str, make: Callable[[Any], Program], argv: Sequence[str] | None) -> int:
+def run_node(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node until it ends or is told to; returns the exit code of the process."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(arguments):
-        print(usage(name))
-        return OK
     stop = Stop()
-    sweep()
+    if {"-h", "--help"} & set(arguments):
+        print(stop.importing("derail_ros.nodes.declaration").usage(name))
+        return OK
     try:
+        stop.importing("rclpy.executors")
+        module, program = PROGRAMS[name]
+        make = getattr(stop.importing(f"derail_ros.nodes.{module}"), program)
+        sweep()
         return _drive(name, make, arguments, stop)
     except Interrupted:
         return OK
-    except StartError as error:
+    except NodeError as error:
         print(f"error: {error}", file=sys.stderr)
         return FAILED
     finally:
@@ -145,4 +175,6 @@ def _drive(name: str, make: Callable[[Any], Program], arguments: list[str], stop
         program.close()
         executor.shutdown()
         node.destroy_node()
+    if program.fault:
+        raise NodeError(program.fault)
     return OK if code is None else code

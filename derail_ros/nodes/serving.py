@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -25,6 +26,11 @@ def service_qos() -> Any:
     from rclpy.qos import QoSProfile
 
     return QoSProfile(depth=SERVICE_DEPTH)
+
+
+def snake(name: str) -> str:
+    """Name of the service of a type: ``GetEntities`` -> ``get_entities``."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
 
 
 class DeferredService:
@@ -90,7 +96,16 @@ class RequestWaiter:
         node = self._node
         self._services = [service.handle for service in node.services]
         self._subscriptions = [subscription.handle for subscription in node.subscriptions]
-        counts = (len(self._subscriptions), 1, 0, 0, len(self._services), 0)
+        self._waitables = list(node.waitables)
+        more = [w.get_num_entities() for w in self._waitables]
+        counts = (
+            len(self._subscriptions) + sum(n.num_subscriptions for n in more),
+            1 + sum(n.num_guard_conditions for n in more),
+            sum(n.num_timers for n in more),
+            sum(n.num_clients for n in more),
+            len(self._services) + sum(n.num_services for n in more),
+            sum(n.num_events for n in more),
+        )
         self._set = rclpy_implementation.WaitSet(*counts, node.context.handle)
 
     def wait(self, executor: Any, due: float) -> None:
@@ -123,8 +138,12 @@ class RequestWaiter:
             ready.add_service(handle)
         for handle in self._subscriptions:
             ready.add_subscription(handle)
+        for waitable in self._waitables:
+            waitable.add_to_wait_set(ready)
         ready.add_guard_condition(self._woken.handle)
         ready.wait(int(seconds * NANOSECONDS))
         return bool(
-            ready.get_ready_entities("service") or ready.get_ready_entities("subscription")
+            ready.get_ready_entities("service")
+            or ready.get_ready_entities("subscription")
+            or any(waitable.is_ready(ready) for waitable in self._waitables)
         )

@@ -35,6 +35,11 @@ DESCRIBING = ("consist", "command_log", "outcome")
 """Topics that the manifest is derived from."""
 IDLE_TOPICS = ("/diagnostics", "/clock", "markers")
 """Topics that are published while nothing happens."""
+SILENCE = 1.25
+"""Wall time without a message after which a process is regarded as gone, s: a simulator sends
+diagnostics every second. Another one then takes its place; before, the two publish at once."""
+PARTICIPANT = 12
+"""Bytes of a publisher's identity that those of one process share (DDSI-RTPS 2.5, 9.3.1)."""
 
 
 def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
@@ -69,17 +74,29 @@ class TopicCount:
 
     received: int = 0
     lost: int = 0  # missing by the middleware's sequence numbers
-    # times of the messages, ns (state topics only)
-    stamps: list[int] = field(default_factory=list)
+    # process -> times of its messages, ns (state topics only)
+    stamps: dict[bytes, list[int]] = field(default_factory=dict)
 
-    def gaps(self, start: int | None = None) -> int:
-        """Messages missing by their regular times: between others, and since ``start`` (ns)."""
-        pairs = [b - a for a, b in zip(self.stamps[:-1], self.stamps[1:]) if b > a]
-        if not pairs:
-            return 0
-        interval = min(pairs)
-        before = 0 if start is None else max(0, round((self.stamps[0] - start) / interval))
-        return before + sum(round(pair / interval) - 1 for pair in pairs)
+    def gaps(self, starts: Mapping[bytes, int]) -> int:
+        """Messages missing by their regular times: between others, and since a run's start.
+
+        ``starts`` : process -> start of its first run, ns
+        """
+        missing = 0
+        for process, stamps in self.stamps.items():
+            pairs = [b - a for a, b in zip(stamps[:-1], stamps[1:]) if b > a]
+            if not pairs:
+                continue
+            interval = min(pairs)
+            start = starts.get(process, stamps[0])
+            missing += max(0, round((stamps[0] - start) / interval))
+            missing += sum(round(pair / interval) - 1 for pair in pairs)
+        return missing
+
+    @property
+    def last(self) -> int | None:
+        """Largest of the times, ns; None without any."""
+        return max((stamps[-1] for stamps in self.stamps.values()), default=None)
 
 
 class _OpenRecording:
@@ -97,19 +114,31 @@ class _OpenRecording:
         self._collector = Collector()
         self.counts = {name: TopicCount() for name in topics}
         self.runs: set[str] = set()
-        self.last_stamp = 0
+        self.last_stamps: dict[bytes, int] = {}
+        self.last_of: dict[tuple[str, bytes], int] = {}
+        self._starts: dict[bytes, int] = {}
         self._awaited = {n for n, t in topics.items() if t.name in ("consist", "track")}
         self._held: list[tuple[str, int, bytes]] | None = []
         self._hold_until = math.inf
 
-    def write(self, name: str, stamp: int, data: bytes, now: float) -> None:
+    @property
+    def last_stamp(self) -> int:
+        """Latest simulation time of all states, ns."""
+        return max(self.last_stamps.values(), default=0)
+
+    def write(self, name: str, stamp: int, data: bytes, now: float, process: bytes = b"") -> None:
         """Write a message, or hold it until the train and the track have arrived."""
         topic = self.topics[name]
         counted = self.counts[name]
         counted.received += 1
+        if topic.name in STATE_TOPICS and self.last_of.get((topic.name, process)) == stamp:
+            return  # sent again while the run stands still, for others
+        self.last_of[topic.name, process] = stamp
         if topic.name in STATE_TOPICS:
-            counted.stamps.append(stamp)
-            self.last_stamp = max(self.last_stamp, stamp)
+            counted.stamps.setdefault(process, []).append(stamp)
+            self.last_stamps[process] = max(self.last_stamps.get(process, 0), stamp)
+        if topic.name == "consist":
+            self._starts.setdefault(process, stamp)
         if topic.name in DESCRIBING:
             self._collector.take(Channel(name, topic.msgtype), data)
         if self._held is None:
@@ -130,10 +159,8 @@ class _OpenRecording:
 
     def report(self) -> dict[str, dict[str, int]]:
         """Messages received and missed, by topic."""
-        consists = (run.consist for run in self._collector.runs.values())
-        start = next((stamp_of(consist) for consist in consists if consist is not None), None)
         return {
-            name: {"received": c.received, "lost": c.lost, "gaps": c.gaps(start)}
+            name: {"received": c.received, "lost": c.lost, "gaps": c.gaps(self._starts)}
             for name, c in self.counts.items()
         }
 
@@ -174,6 +201,7 @@ class Listener:
         self.final_stamp: int | None = None
         self.final_time = 0.0
         self._numbers: dict[tuple[str, bytes], int] = {}
+        self._alive: dict[bytes, float] = {}
         self._opened = 0
         self._current = self._open()
         self._old: _OpenRecording | None = None
@@ -192,10 +220,15 @@ class Listener:
         """Take a message: topic, CDR bytes, what the middleware says of it."""
         topic = self.topics[name]
         now = time.monotonic()
+        publisher = info.get("publisher_gid")
+        identity = bytes(publisher.get("data", b"") if isinstance(publisher, Mapping) else b"")
+        process = identity[:PARTICIPANT]
         stamp = message_stamp(topic, data, self._current.last_stamp)
-        recording = self._recording_of(topic, message_run(topic, data), stamp, now)
-        recording.counts[name].lost += self._missing(name, info)
-        recording.write(name, stamp, data, now)
+        recording = self._recording_of(topic, message_run(topic, data), stamp, now, process)
+        self._alive[process] = now
+        number = info.get("publication_sequence_number") or 0
+        recording.counts[name].lost += self._missing(name, identity, number)
+        recording.write(name, stamp, data, now, process)
         if topic.name not in IDLE_TOPICS:
             self.last_time = now
         if topic.name == "outcome" and recording is self._current:
@@ -204,45 +237,55 @@ class Listener:
             self.final_stamp = stamp_of(message) if final else None
             self.final_time = now
 
-    def _recording_of(self, topic: Topic, run_id: str, stamp: int, now: float) -> _OpenRecording:
+    def _recording_of(
+        self, topic: Topic, run_id: str, stamp: int, now: float, process: bytes
+    ) -> _OpenRecording:
         """The recording that a message belongs to; a new one when time has begun anew.
 
         Topics arrive in no order among each other: a message of the old run may arrive after the
-        first one of the new.
+        first one of the new. Two simulators that publish at once have their times each; they do
+        not make each other's time begin anew.
         """
         current, old = self._current, self._old
-        anew = stamp < current.last_stamp - BACKWARD
+        last = current.last_stamps.get(process)
+        if last is None:
+            others = (p for p, when in self._alive.items() if now < when + SILENCE)
+            last = 0 if any(p in current.last_stamps for p in others) else current.last_stamp
+        anew = stamp < last - BACKWARD
         if run_id:
             if run_id in current.runs:
                 return current
             if old is not None and run_id in old.runs:
                 return old
             if anew and current.runs:
-                current = self._begin_anew(now)
+                current = self._begin_anew(now, process, stamp)
             current.runs.add(run_id)
         elif topic.name in (*STATE_TOPICS, "markers"):
+            if process in current.last_stamps:
+                # Fast runs bring topics seconds apart; each topic by itself is in order.
+                own = current.last_of.get((topic.name, process), 0)
+                anew = stamp < own - BACKWARD
             if anew:
-                return self._begin_anew(now)
-            if old is not None and stamp > current.last_stamp + BACKWARD:
+                return self._begin_anew(now, process, stamp)
+            before = math.inf if old is None else old.last_of.get((topic.name, process), math.inf)
+            if old is not None and stamp > last + BACKWARD and stamp >= before:
                 return old
         return current
 
-    def _begin_anew(self, now: float) -> _OpenRecording:
+    def _begin_anew(self, now: float, process: bytes, stamp: int) -> _OpenRecording:
         """Go on in a new recording."""
         self._close_old()
         self._old, self._old_until = self._current, now + STRAGGLERS
         self._current = self._open()
+        self._current.last_stamps[process] = stamp
         self.final_stamp = None
         return self._current
 
-    def _missing(self, name: str, info: Mapping[str, Any]) -> int:
+    def _missing(self, name: str, identity: bytes, number: int) -> int:
         """Number of messages that a publisher has sent since its last one that arrived."""
-        number = info.get("publication_sequence_number")
         if not number:
             return 0
-        publisher = info.get("publisher_gid")
-        identity = publisher.get("data", b"") if isinstance(publisher, Mapping) else b""
-        key = (name, bytes(identity))
+        key = (name, identity)
         last = self._numbers.get(key, number)
         self._numbers[key] = number
         return max(0, number - last - 1)
@@ -272,7 +315,7 @@ class Listener:
             return False
         now = time.monotonic()
         reached = all(
-            not counted.stamps or counted.stamps[-1] >= self.final_stamp
+            counted.last is None or counted.last >= self.final_stamp
             for counted in self._current.counts.values()
         )
         # The states of a failed run never reach its outcome: then quiet decides.

@@ -7,6 +7,7 @@ by a scan of the file.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import math
 import os
@@ -187,7 +188,8 @@ class RunRecorder:
             self._write_all(connections)
         except BaseException as error:
             self._failure = error
-            self._writer.abort()
+            with contextlib.suppress(Exception):  # what cannot be written cannot be closed well
+                self._writer.abort()
 
     def _write_all(self, connections: dict[str, Any]) -> None:
         flush_at: float | None = None

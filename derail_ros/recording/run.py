@@ -9,6 +9,7 @@ from typing import Any
 
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder, absolute
+from msg_adapters.common import TIME_ZERO
 
 PROGRESS_EVERY = 0.1
 """Wall time between two calls of ``progress``, s."""
@@ -69,7 +70,7 @@ def record_run(
             simulation=simulation,
         )
         manifest.runs.append(session.entry())
-        recorder.write_manifest(manifest, 0)
+        recorder.write_manifest(manifest, TIME_ZERO)
         try:
             session.begin()
             told = time.monotonic()

@@ -12,9 +12,9 @@ import hashlib
 import math
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,11 @@ from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.sample import Sample
 from derail_ros.vocabulary.simulation import Simulation
 from msg_adapters import reports
-from msg_adapters.common import RunContext
+from msg_adapters.common import NANOSECONDS, TIME_ZERO, RunContext
 from msg_adapters.definitions import serialize
 from msg_adapters.markers import MarkerEncoder, track_markers
-from msg_adapters.state import StateEncoder, TransformEncoder
+from msg_adapters.state import StateEncoder
+from msg_adapters.topics import STATE_TOPICS
 
 Emit = Callable[[str, int, bytes], None]
 """Takes a topic's name, the moment in simulation time (ns) and the message's bytes."""
@@ -96,6 +97,28 @@ class Rates:
     recorded_markers: float = 0.0
 
 
+class Live(Protocol):
+    """Messages that are sent and not recorded, for they follow from the recorded ones.
+
+    Attributes
+    ----------
+    topics : topics of the messages of each tick
+    due : run time of the next measurement of the sensors, s; infinite without sensors
+    """
+
+    topics: Sequence[str]
+    due: float
+
+    def begin(self) -> list[tuple[str, bytes]]:
+        """Topic name and CDR bytes of what is latched at the start of the run."""
+
+    def tick(self, sample: Sample) -> list[tuple[str, bytes]]:
+        """Topic name and CDR bytes of the messages of a tick."""
+
+    def measure(self, sample: Sample) -> list[tuple[str, bytes]]:
+        """The same of the sensors that measure at ``due``, which moves on."""
+
+
 class Session:
     """One run.
 
@@ -107,7 +130,8 @@ class Session:
     kind : ``RUN_LOADED`` or ``RUN_RESET``: the first event of the run
     rates : ticks a second and markers a second
     record_markers : takes the markers at ``rates.recorded_markers`` of simulation time
-    live_transforms : takes `/tf` at each tick
+    live : makes the messages that are not recorded, from scenario, simulation and context
+    emit_live : takes them
     simulation : what to run instead of a copy of ``prepared.simulation``
     """
 
@@ -116,12 +140,13 @@ class Session:
         prepared: Prepared,
         emit: Emit,
         *,
-        base: int = 0,
+        base: int = TIME_ZERO,
         frame_id: str = "map",
         kind: EventKind = EventKind.RUN_LOADED,
         rates: Rates | None = None,
         record_markers: Emit | None = None,
-        live_transforms: Callable[[bytes], None] | None = None,
+        live: Callable[[Prepared, Simulation, RunContext], Live] | None = None,
+        emit_live: Emit | None = None,
         simulation: Simulation | None = None,
     ) -> None:
         self.prepared = prepared
@@ -144,10 +169,8 @@ class Session:
         self._markers_recorded = 0
         self._encoder = StateEncoder(self.params, self.context)
         self._markers = MarkerEncoder(self.params, self.context, prepared.marker_pieces)
-        self._live_transforms = live_transforms
-        self._transforms: TransformEncoder | None = None
-        if live_transforms is not None:
-            self._transforms = TransformEncoder(len(self.params.cars), self.context)
+        self._live = None if live is None else live(prepared, self.simulation, self.context)
+        self._emit_live = emit_live
         self.event_messages: list[bytes] = []
         self._events_published = 0
         self._next_outcome = 0.0
@@ -214,6 +237,8 @@ class Session:
         self._publish_event(
             Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{len(params.cars)} cars")
         )
+        if self._live is not None:
+            self._send_live(self.context.base, self._live.begin())
         self._publish_tick(self.sample, reset=True)
         self.announced = True
 
@@ -273,8 +298,8 @@ class Session:
         stamp = self.context.stamp(sample.time)
         for topic, data in self._encoder.encode(sample):
             self._publish(topic, data, stamp)
-        if self._live_transforms is not None and self._transforms is not None:
-            self._live_transforms(self._transforms(sample))
+        if self._live is not None:
+            self._send_live(stamp, self._live.tick(sample))
         if self._record_markers is not None and self.rates.recorded_markers > 0.0:
             due = self._markers_recorded / self.rates.recorded_markers
             if sample.time + GRAIN >= due:
@@ -285,6 +310,19 @@ class Session:
         if sample.time + GRAIN >= self._next_outcome:
             self._next_outcome = math.floor(sample.time + GRAIN) + OUTCOME_EVERY
             self._publish_outcome(sample.time)
+
+    def _send_live(self, stamp: int, messages: list[tuple[str, bytes]]) -> None:
+        if self._emit_live is not None:
+            for topic, data in messages:
+                self._emit_live(topic, stamp, data)
+
+    def _measure(self, until: float) -> None:
+        """Have the sensors measure what was due in the last step, up to a run time (s)."""
+        simulation, live = self.simulation, self._live
+        while live is not None and live.due <= min(until, simulation.time):
+            when = live.due
+            messages = live.measure(simulation.sample(when))
+            self._send_live(self.context.stamp(when), messages)
 
     def _publish_outcome(self, time: float, status: str = "") -> None:
         message = self.outcome_message(time, status)
@@ -299,6 +337,22 @@ class Session:
             step=self.step,
             status=status,
         )
+
+    def present(self, later: int = 0) -> list[tuple[str, bytes]]:
+        """Topic name and CDR bytes of the state messages of the last tick, for who comes late.
+
+        Frames and the like bear a time that is ``later`` (ns) than the tick's.
+        """
+        messages = self._encoder.encode(self.sample)
+        if self._live is not None:
+            moment = self.sample.time + later / NANOSECONDS
+            messages += self._live.tick(dataclasses.replace(self.sample, time=moment))
+        return messages
+
+    @property
+    def state_topics(self) -> tuple[str, ...]:
+        """Topics of :meth:`present`."""
+        return (*STATE_TOPICS, *(() if self._live is None else self._live.topics))
 
     def markers(self, *, reset: bool = False) -> bytes:
         """``MarkerArray`` of the last tick; ``reset`` clears what was shown before."""
@@ -329,8 +383,10 @@ class Session:
                 simulation.advance_to(target)
             else:
                 end = time.perf_counter() + budget
+                self._measure(target)  # what was due in the last step, after the last tick
                 while simulation.time < target and not simulation.ended:
                     simulation.advance_steps(1)
+                    self._measure(target)
                     if time.perf_counter() >= end:
                         break
             if simulation.time < target and not simulation.ended:

@@ -783,6 +783,23 @@ class InputSpec(Section):
     sha256: Sha256 = _field(..., "", "SHA-256 of its content, hexadecimal")
 
 
+class Datum(Section):
+    """Where on the Earth the origin of the frame is, and how the frame is turned (WGS 84)."""
+
+    latitude_deg: Number = _field(..., "deg", "latitude, north positive", ge=-89, le=89)
+    longitude_deg: Number = _field(..., "deg", "longitude, east positive", ge=-180, le=180)
+    altitude_m: Number = _field(0.0, "m", "height above the ellipsoid", ge=-1000, le=10_000)
+    azimuth_deg: Number = _field(
+        90.0, "deg", "direction of the x axis, clockwise from north", ge=-360, le=360
+    )
+
+
+class Site(Section):
+    """The place of the scenario."""
+
+    datum: Datum | None = _field(None, "", "where on the Earth it is")
+
+
 class ScenarioModel(Section):
     """A derailment scenario."""
 
@@ -809,3 +826,4 @@ class ScenarioModel(Section):
         Derailment(), "", "when trucks leave the rails and couplings part"
     )
     integration: Integration = _field(Integration(), "", "integration and the end of the run")
+    site: Site | None = _field(None, "", "the place; outputs use it, not the motion", later=True)

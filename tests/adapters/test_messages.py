@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,7 +23,13 @@ from msg_adapters.definitions import (
     serialize,
     typestore,
 )
-from msg_adapters.state import StateEncoder, TransformEncoder
+from msg_adapters.frames import (
+    TransformEncoder,
+    joint_names,
+    robot_description,
+    static_transforms,
+)
+from msg_adapters.state import StateEncoder
 from msg_adapters.topics import STATE_TOPICS, TOPICS, bag_qos
 from tests.nodes.support import simulation
 
@@ -372,16 +379,64 @@ def test_ros_reads_the_same_from_the_bytes(run: PlanarSimulation) -> None:
 
 
 def test_frames_of_the_cars(run: PlanarSimulation) -> None:
-    """tf2_msgs is not among the wheels, so the bytes are read back without ROS."""
+    """Cars in the inertial frame, and their couplers in them at their angles."""
     sample = run.sample()
-    data = TransformEncoder(run.n_cars, CONTEXT)(sample)
+    data = TransformEncoder(run.params, CONTEXT, "north/")(sample)
     message = deserialize(data, "tf2_msgs/msg/TFMessage")
     assert serialize(message) == data
-    for i, one in enumerate(message.transforms):
-        assert (one.header.frame_id, one.child_frame_id) == ("map", f"car_{i + 1}")
+    found = {one.child_frame_id: one for one in message.transforms}
+    for i, car in enumerate(run.params.cars):
+        for k, (end, sign) in enumerate((("front", 1.0), ("rear", -1.0))):
+            arm = found[f"north/car_{i + 1}/{end}_coupler"]
+            assert arm.header.frame_id == f"north/car_{i + 1}"
+            assert arm.transform.translation.x == sign * car.pivot_distance
+            turned = 2.0 * math.atan2(arm.transform.rotation.z, arm.transform.rotation.w)
+            assert turned == pytest.approx(sample.coupler_yaw[i, k] - sample.pose[i, 5])
+    for i in range(run.n_cars):
+        one = found[f"north/car_{i + 1}"]
+        assert one.header.frame_id == "map"
         assert common.stamp_of(one) == CONTEXT.stamp(sample.time)
         place, turn = one.transform.translation, one.transform.rotation
         assert (place.x, place.y, place.z) == (sample.q[i, 0], sample.q[i, 1], 0.0)
         assert (turn.x, turn.y) == (0.0, 0.0)
         assert turn.z == math.sin(sample.q[i, 2] / 2) and turn.w == math.cos(sample.q[i, 2] / 2)
-    assert len(message.transforms) == run.n_cars
+    assert len(message.transforms) == 3 * run.n_cars
+
+
+def test_the_description_is_a_tree_whose_links_are_the_frames(run: PlanarSimulation) -> None:
+    """As urdfdom and robot_state_publisher want it: one root, each other link of one joint."""
+    root = ElementTree.fromstring(robot_description(run.params, "map", "north/"))
+    links = [link.get("name") for link in root.findall("link")]
+    joints = root.findall("joint")
+    children = [joint.find("child").get("link") for joint in joints]
+    assert len(set(links)) == len(links) and len(set(children)) == len(children)
+    assert set(links) - set(children) == {"map"}
+    assert {joint.find("parent").get("link") for joint in joints} <= set(links)
+    moving = deserialize(
+        TransformEncoder(run.params, CONTEXT, "north/")(run.sample()), "tf2_msgs/msg/TFMessage"
+    )
+    fixed = deserialize(static_transforms(run.params, CONTEXT, "north/"), "tf2_msgs/msg/TFMessage")
+    sent = {t.child_frame_id: t for t in (*moving.transforms, *fixed.transforms)}
+    assert set(sent) == set(children), "RobotModel asks TF for each link"
+    for joint in joints:
+        parent, child = joint.find("parent").get("link"), joint.find("child").get("link")
+        assert sent[child].header.frame_id == parent
+        if joint.get("type") != "floating":
+            place = [float(v) for v in joint.find("origin").get("xyz").split()]
+            t = sent[child].transform.translation
+            assert [t.x, t.y, t.z] == pytest.approx(place, abs=1e-3)
+    turning = [j.get("name") for j in joints if j.get("type") == "continuous"]
+    assert turning == joint_names(run.n_cars, "north/")
+    materials = {m.get("name") for m in root.findall("material")}
+    assert {m.get("name") for m in root.iter("material")} == materials
+
+
+def test_the_description_has_the_sizes_and_masses_of_the_train(run: PlanarSimulation) -> None:
+    root = ElementTree.fromstring(robot_description(run.params))
+    for number, car in enumerate(run.params.cars, 1):
+        link = next(x for x in root.findall("link") if x.get("name") == f"car_{number}")
+        length, width, _ = link.find("visual/geometry/box").get("size").split()
+        assert (float(length), float(width)) == pytest.approx((car.length, car.width), rel=1e-5)
+        assert float(link.find("inertial/mass").get("value")) == pytest.approx(car.mass, rel=1e-5)
+        izz = float(link.find("inertial/inertia").get("izz"))
+        assert izz == pytest.approx(car.inertia, rel=1e-5)

@@ -66,6 +66,8 @@ class Heard:
     def __init__(self) -> None:
         self.raw: list[tuple[str, bytes]] = []
         self.runs = 0
+        self.offered: dict[str, str] = {}
+        self.listening: dict[str, int] = {}
         self.logs: list[tuple[str, str]] = []
 
     def publish(self, topic: str, data: bytes) -> None:
@@ -73,6 +75,12 @@ class Heard:
 
     def renew(self) -> None:
         self.runs += 1
+
+    def offer(self, name: str, msgtype: str) -> None:
+        self.offered[name] = msgtype
+
+    def subscribers(self, name: str) -> int:
+        return self.listening.get(name, 0)
 
     def info(self, text: str) -> None:
         self.logs.append(("info", text))

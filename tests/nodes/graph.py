@@ -38,6 +38,14 @@ SERVICES = {
     "reset_simulation": srv.ResetSimulation,
     "get_events": srv.GetEvents,
 }
+MOVED = ("set_simulation_state", "step_simulation", "reset_simulation")
+
+
+def service_path(service: str) -> str:
+    """Name of a service of derail_msgs below its node's: three left theirs to the standard."""
+    return f"derail/{service}" if service in MOVED else service
+
+
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 
 DEEP = {f"qos_overrides./{topic}.publisher.depth": 1000 for topic in STATE_TOPICS}
@@ -245,7 +253,9 @@ class Graph:
     def client(self, service: str, node: str = "/simulator") -> Any:
         key = (service, node)
         if key not in self._clients:
-            self._clients[key] = self.node.create_client(SERVICES[service], f"{node}/{service}")
+            self._clients[key] = self.node.create_client(
+                SERVICES[service], f"{node}/{service_path(service)}"
+            )
         return self._clients[key]
 
     def ask(self, service: str, node: str = "/simulator", **fields: Any) -> Any:

@@ -19,7 +19,7 @@ from derail_ros.nodes.core import State
 from derail_ros.recording import RecordingError, read_manifest
 from derail_ros.recording.run import record_run
 from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES
-from msg_adapters.common import stamp_of
+from msg_adapters.common import TIME_ZERO, stamp_of
 from msg_adapters.topics import STATE_TOPICS
 from tests.nodes.bench import BAD, Simulator, Wall
 from tests.nodes.support import ENDLESS, OFF_THE_TRACK, SMALL, ready, small
@@ -184,7 +184,10 @@ def test_clock_and_markers_keep_their_rates_whatever_they_are(clock, markers) ->
     bench = Bench(clock_rate=clock, marker_rate=markers)
     bench.load(ENDLESS)
     woken = bench.run(10.0)
-    assert len(bench.heard.of("/clock")) == pytest.approx(10.0 * clock, abs=2)
+    # A clock goes out before each state, too: with the next one due if that is near.
+    least = max(clock, 50.0)
+    most = clock if clock % 50.0 == 0.0 else clock + 50.0
+    assert 10.0 * least - 3 <= len(bench.heard.of("/clock")) <= 10.0 * most + 3
     assert len(bench.heard.of("markers")) == pytest.approx(10.0 * markers, abs=3)
     assert bench.ticks() == pytest.approx(500, abs=2)
     if (clock, markers) == (100.0, 15.0):
@@ -204,7 +207,8 @@ def test_the_clock_keeps_its_rate_when_the_ticks_fall_behind_all_the_time() -> N
     session.advance = costly
     bench.run(3.0)
     assert bench.core.pace.overruns > 200
-    assert len(bench.heard.of("/clock")) == pytest.approx(300, abs=5)
+    # No state goes out before a clock as late as it is, so that each tick has one.
+    assert 0 <= len(bench.heard.of("/clock")) - bench.ticks() <= 305
 
 
 def test_a_client_that_changes_parameters_all_the_time_holds_up_nothing(bench: Bench) -> None:
@@ -275,21 +279,21 @@ def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench)
     assert len(bench.heard.of("markers")) == pytest.approx(5, abs=1)
 
 
-def test_frames_come_only_when_asked_for(bench: Bench) -> None:
+def test_frames_come_unless_they_are_not_wanted(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(0.2)
-    assert not [name for name, _ in bench.heard.raw if name == "/tf"]
-    other = Bench(publish_tf=True)
+    assert len([name for name, _ in bench.heard.raw if name == "/tf"]) == bench.ticks() > 5
+    other = Bench(publish_tf=False)
     other.load(ENDLESS)
     other.go(0.2)
-    assert len([name for name, _ in other.heard.raw if name == "/tf"]) == other.ticks() > 5
+    assert not [name for name, _ in other.heard.raw if name.startswith("/tf")]
 
 
 def test_states_are_on_a_grid_of_whole_ticks(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(1.0)
     stamps = [stamp_of(m) for m in bench.heard.of("car_poses")]
-    assert stamps == [20_000_000 * k for k in range(len(stamps))]
+    assert stamps == [TIME_ZERO + 20_000_000 * k for k in range(len(stamps))]
     for topic in STATE_TOPICS:
         assert [stamp_of(m) for m in bench.heard.of(topic)] == stamps
 
@@ -366,7 +370,7 @@ def test_steps_only_while_paused(bench: Bench) -> None:
     (answer,) = bench.step(7)
     assert answer.success and answer.message == "7 of 7 ticks done"
     assert bench.core.session.tick == before + 7
-    assert answer.stamp == bench.core.stamp == 20_000_000 * (before + 7)
+    assert answer.stamp == bench.core.stamp == TIME_ZERO + 20_000_000 * (before + 7)
     bench.go(1.0)
     assert bench.core.session.tick == before + 7
     (none,) = bench.step(0)
@@ -460,7 +464,7 @@ def test_reset_to_zero_sets_time_to_zero(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(1.0)
     answer = bench.core.reset(1)
-    assert answer.success and answer.stamp == 0 == bench.core.stamp
+    assert answer.success and answer.stamp == TIME_ZERO == bench.core.stamp
 
 
 def test_reset_keeps_playing_and_stays_paused(bench: Bench) -> None:

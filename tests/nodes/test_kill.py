@@ -18,7 +18,7 @@ from derail_ros.cli import main
 from derail_ros.nodes.shared_memory import sweep
 from derail_ros.recording import read_manifest
 from derail_ros.recording.storage import open_bag
-from msg_adapters.common import stamp_of
+from msg_adapters.common import TIME_ZERO, stamp_of
 from msg_adapters.topics import STATE_TOPICS
 from tests.nodes.graph import DEEP, PAUSED, PLAYING, Graph, Process, graph
 
@@ -83,13 +83,13 @@ def test_recorders_and_clients_that_are_killed(tmp_path, capsys) -> None:
     missed = read_manifest(tmp_path / "second").settings["missed"]
     assert not [n for n, c in missed.items() if (c["lost"] or c["gaps"]) and n != "/markers"]
     whole = stamps(tmp_path / "second")
-    assert whole[0] == 0 and without_gaps(whole)
+    assert whole[0] == TIME_ZERO and without_gaps(whole)
 
     assert main(["repair", str(tmp_path / "first")]) == 0, capsys.readouterr().err
     repaired = tmp_path / "first_repaired"
     assert open_bag(repaired).intact
     times = stamps(repaired)
-    assert times[0] == 0 and without_gaps(times)
+    assert times[0] == TIME_ZERO and without_gaps(times)
     # The last second may be lost; what was on its way when the recorder was killed as well.
     assert times[-1] > last - 1_250_000_000
     for topic in STATE_TOPICS:
@@ -149,10 +149,10 @@ def test_a_simulator_that_is_killed(tmp_path, capsys) -> None:
     heard = stamps(tmp_path / "heard")
     manifest = read_manifest(tmp_path / "heard")
     assert manifest.messages["/train_state"] == len(heard)
-    assert without_gaps(heard) and heard[0] == 0 and heard[-1] >= last
+    assert without_gaps(heard) and heard[0] == TIME_ZERO and heard[-1] >= last
     assert main(["repair", str(tmp_path / "own")]) == 0, capsys.readouterr().err
     times = stamps(tmp_path / "own_repaired")
-    assert without_gaps(times) and times[0] == 0 and times[-1] > last - 1_250_000_000
+    assert without_gaps(times) and times[0] == TIME_ZERO and times[-1] > last - 1_250_000_000
     # What it has is the beginning of the run with its command.
     capsys.readouterr()
     assert main(["replay", str(tmp_path / "own_repaired")]) == 0, capsys.readouterr().out

@@ -11,7 +11,13 @@ import pytest
 
 from derail_ros.nodes.playback import Playback
 from derail_ros.recording import record_run
-from derail_ros.recording.storage import BagError
+from derail_ros.recording.files import add_topic, bag_writer
+from derail_ros.recording.storage import BagError, open_bag
+from msg_adapters.common import stamp_of_bytes
+from msg_adapters.definitions import serialize
+from msg_adapters.reports import clock as clock_message
+from msg_adapters.reports import string
+from msg_adapters.topics import TOPICS, rclpy_class
 from tests.nodes.support import simulation, small
 
 SECOND = 1_000_000_000
@@ -212,6 +218,72 @@ def test_a_stall_is_not_followed_by_a_burst(playback) -> None:
     assert len(states(sink)) - before <= 2
 
 
+WALL = 1_764_500_000 * SECOND
+"""A time of the log as ``ros2 bag record`` writes it: wall time."""
+
+
+@pytest.fixture(params=["clock", "headers"])
+def logged_by_wall_time(request, tmp_path, bag) -> Path:
+    """The recording as ``ros2 bag record -a`` has it, at twice real time and with a pause."""
+    whole = open_bag(bag)
+    path = tmp_path / "wall"
+    writer = bag_writer(path, "mcap")
+    writer.open()
+    clock = add_topic(writer, "/clock", "rosgraph_msgs/msg/Clock", [])
+    rosout = add_topic(writer, "/rosout", "std_msgs/msg/String", [])
+    known = [c for c in whole.channels if c.msgtype != "std_msgs/msg/String"]
+    topics = {c.topic: add_topic(writer, c.topic, c.msgtype, c.qos) for c in known}
+    start = whole.span()[0]
+    for channel, stamp, data in whole.messages(lambda c: c.topic in topics):
+        log = WALL + (stamp - start) // 2 + (3 * SECOND if stamp > start + SECOND else 0)
+        if channel.topic == "/train_state":
+            if request.param == "clock":
+                writer.write(clock, log, bytes(clock_message(stamp)))
+            writer.write(rosout, log, serialize(string("a line")))
+        writer.write(topics[channel.topic], log, data)
+    writer.close()
+    return path
+
+
+def test_a_log_of_wall_time_is_played_in_the_time_of_its_messages(
+    logged_by_wall_time, bag
+) -> None:
+    """One time base: /clock is where the stamps are, and a seek is in that time too."""
+    wall, sink = Wall(), Sink()
+    made = Playback(logged_by_wall_time, sink, wall)
+    own = Playback(bag)
+    first, last = own.start, own.end
+    assert made.start >= WALL and made.clock == pytest.approx(first, abs=SECOND // 20)
+    made.resume()
+    # Half a second of the log is a second of the run; then it stood still for three.
+    for seconds, reached in ((0.5, SECOND), (2.9, SECOND), (0.35, 1.5 * SECOND)):
+        go(made, wall, seconds, 0.01)
+        assert made.clock - first == pytest.approx(reached, abs=0.06 * SECOND)
+        assert abs(stamp_of_bytes(states(sink)[-1]) - made.clock) <= SECOND // 20
+    assert made.seek_time(first + 2 * SECOND)
+    assert made.clock == pytest.approx(first + 2 * SECOND, abs=SECOND // 100)
+    assert abs(stamp_of_bytes(states(sink)[-1]) - made.clock) <= SECOND // 20
+    assert not made.seek_time(last + 10 * SECOND) and not made.seek_time(0)
+
+
+def test_a_log_of_simulation_time_stays_as_it_is(bag) -> None:
+    made = Playback(bag)
+    assert made.clock == made.start and made.base.time(made.end) == made.end
+
+
+def test_topics_are_chosen_and_left_out(bag) -> None:
+    names = {c.topic for c in Playback(bag).channels}
+    only = Playback(bag, topics=["train_state", "/ev*"])
+    assert {c.topic for c in only.channels} == {"/train_state", "/events"}
+    less = Playback(bag, exclude=["*markers", "/train_state"])
+    assert {c.topic for c in less.channels} == {
+        n for n in names if not n.endswith("markers") and n != "/train_state"
+    }
+    for given in ({"topics": ["states"]}, {"exclude": ["/tf"]}, {"exclude": ["*"]}):
+        with pytest.raises(BagError, match=next(iter(given))):
+            Playback(bag, **given)
+
+
 def test_a_recording_that_was_cut_off_is_refused(tmp_path, bag) -> None:
     data = next(bag.glob("*.mcap")).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
@@ -312,6 +384,18 @@ def test_it_is_never_the_second_publisher_of_the_clock(tmp_path, bag) -> None:
         made.until(lambda: any("publishes /clock" in p.output for p in both), "one gives way")
         made.until(lambda: made.node.count_publishers("/clock") == 1, "one is left")
         made.until(lambda: any("subscribers get both" in p.output for p in both), "it warns")
+
+
+@pytest.mark.ros
+def test_topics_come_under_other_names_and_rosout_is_no_rival(tmp_path, bag) -> None:
+    with on_graph(tmp_path) as made:
+        player = made.start("player", "-r", "/train_state:=/states", path=bag, loop=True)
+        heard: list = []
+        topic = TOPICS["train_state"]
+        made.node.create_subscription(rclpy_class(topic.msgtype), "/states", heard.append, 10)
+        made.until(lambda: len(heard) > 20, "states under another name", player)
+        assert not made.node.count_publishers("/train_state")
+        assert "subscribers get both" not in player.output
 
 
 @pytest.mark.ros

@@ -24,7 +24,7 @@ from derail_ros.nodes import clock_guard
 from derail_ros.nodes.parameters import SIMULATOR
 from derail_ros.nodes.serving import SERVICE_DEPTH
 from derail_ros.recording import read_manifest
-from msg_adapters.common import stamp_of
+from msg_adapters.common import TIME_ZERO, stamp_of
 from msg_adapters.topics import STATE_TOPICS, TOPICS
 from tests.nodes.bench import BAD
 from tests.nodes.graph import PAUSED, PLAYING, QUITTING, SERVICES, STOPPED, Graph, Process, graph
@@ -254,7 +254,7 @@ def test_a_long_step_request_leaves_the_node_free(fresh: Graph) -> None:
     assert not future.result().success and "ticks done" in future.result().message
 
 
-def test_time_rises_through_resets_or_begins_at_zero(fresh: Graph) -> None:
+def test_time_rises_through_resets_or_begins_at_its_start(fresh: Graph) -> None:
     first = load(fresh)
     fresh.reaches(first.run_id, 0.5)
     second = fresh.ask("reset_simulation")
@@ -263,9 +263,9 @@ def test_time_rises_through_resets_or_begins_at_zero(fresh: Graph) -> None:
     stamps = [stamp_of(m) for m in fresh.heard["train_state"]]
     assert stamps == sorted(stamps)
     third = fresh.ask("reset_simulation", mode=1)
-    assert third.success and (third.applied_at.sec, third.applied_at.nanosec) == (0, 0)
+    assert third.success and (third.applied_at.sec, third.applied_at.nanosec) == (1, 0)
     fresh.until(lambda: fresh.of_run("train_state", third.run_id), "the third run is heard")
-    assert stamp_of(fresh.of_run("train_state", third.run_id)[0]) < 1_000_000_000
+    assert TIME_ZERO <= stamp_of(fresh.of_run("train_state", third.run_id)[0]) < 2 * TIME_ZERO
     for run in (first, second, third):
         fresh.until(lambda r=run: fresh.of_run("consist", r.run_id), "its train is told")
         fresh.until(lambda r=run: fresh.of_run("track", r.run_id), "its track is told")
@@ -516,7 +516,8 @@ def test_quitting_when_it_is_allowed(tmp_path) -> None:
         ({"speed_factor": -2.0}, "speed_factor must be 0 to 1000"),
         ({"state_rate": "often"}, "state_rate must be of type double"),
         ({"record": "/proc/nowhere/bag"}, "nowhere"),
-        ({"publish_tf": True}, "publish_tf: No module named 'tf2_msgs'"),
+        ({"frame_id": "/map"}, "frame_id must be the name of a frame"),
+        ({"imu": "all:roof"}, "imu must be numbers of cars"),
     ],
 )
 def test_a_mistake_at_the_start_is_one_clear_line(tmp_path, parameters, reason) -> None:

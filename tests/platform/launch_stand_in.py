@@ -33,6 +33,27 @@ class DeclareLaunchArgument:
 
 
 @dataclass
+class LogInfo:
+    """``launch.actions.LogInfo``."""
+
+    msg: Any = field(kw_only=True)
+
+
+@dataclass
+class OpaqueFunction:
+    """``launch.actions.OpaqueFunction``."""
+
+    function: Any = field(kw_only=True)
+
+
+@dataclass
+class LaunchContext:
+    """``launch.LaunchContext``, as far as an opaque function asks it."""
+
+    launch_configurations: dict[str, str]
+
+
+@dataclass
 class IncludeLaunchDescription:
     """``launch.actions.IncludeLaunchDescription``."""
 
@@ -87,8 +108,8 @@ class Node:
 
 
 MODULES: dict[str, tuple[type, ...]] = {
-    "launch": (LaunchDescription,),
-    "launch.actions": (DeclareLaunchArgument, IncludeLaunchDescription),
+    "launch": (LaunchDescription, LaunchContext),
+    "launch.actions": (DeclareLaunchArgument, IncludeLaunchDescription, LogInfo, OpaqueFunction),
     "launch.substitutions": (LaunchConfiguration, PathJoinSubstitution),
     "launch_ros": (),
     "launch_ros.actions": (Node,),

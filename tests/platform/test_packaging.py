@@ -37,7 +37,7 @@ BROUGHT = {
     "mcap": {"lz4", "zstandard"},
 }
 # what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
-NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros"}
+NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros", "simulation_interfaces", "tf2_msgs"}
 LINTERS = {"ruff", "mypy", "import-linter", "codespell", "proselint"}
 WHEELS_ONLY = {"rmw_fastrtps_cpp", "rosidl_default_runtime", "rosidl_generator_py"}
 
@@ -211,7 +211,7 @@ def modules(arguments) -> dict[str, set[str]]:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_what_a_module_imports_is_a_declared_dependency(path, modules):
     """At once: the base only. Within functions or try: extras too."""
-    own = {*sys.stdlib_module_names, *PACKAGES, "tomllib", "tf2_msgs"}
+    own = {*sys.stdlib_module_names, *PACKAGES, "tomllib", "tf2_msgs", "simulation_interfaces"}
     anything = own.union(*modules.values())
     relative = path.relative_to(ROOT).as_posix()
     for module, at_once in imported(path).items():
@@ -248,18 +248,54 @@ def test_launch_files_compile():
             }
 
 
-def test_arguments_of_the_launch_file_have_the_defaults_of_the_node():
-    text = (ROOT / "config" / "simulator.yaml").read_text(encoding="utf-8")
-    parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
-    tree = ast.parse((ROOT / "launch" / "simulator.launch.py").read_text(encoding="utf-8"))
-    table = next(
-        ast.literal_eval(node.value)
-        for node in tree.body
-        if isinstance(node, ast.Assign) and node.targets[0].id == "ARGUMENTS"
+def started(path: Path, **given: str) -> list:
+    """What the launch file of the simulator starts with arguments given."""
+    with stand_in.imported():
+        entities = list(described(path).entities)
+        declared = {e.name: e.default_value for e in entities if hasattr(e, "default_value")}
+        (opaque,) = (e for e in entities if isinstance(e, stand_in.OpaqueFunction))
+        return opaque.function(stand_in.LaunchContext(declared | given))
+
+
+SIMULATOR_LAUNCH = ROOT / "launch" / "simulator.launch.py"
+
+
+def test_every_parameter_of_the_simulator_is_a_launch_argument():
+    (node,) = started(SIMULATOR_LAUNCH, state_rate="20", record="~/bag", scenario='""')
+    file, given = node.parameters
+    assert stand_in.resolved(file, ROOT).name == "simulator.yaml"
+    assert given == {"state_rate": 20.0, "record": "~/bag", "scenario": "", "use_sim_time": False}
+    with stand_in.imported():
+        declared = {e.name for e in described(SIMULATOR_LAUNCH).entities if hasattr(e, "name")}
+    table = {parameter.name for parameter in NODES["simulator"]}
+    assert declared == table | {"namespace", "params_file", "use_sim_time", "rviz"}
+
+
+def test_what_is_given_to_a_launch_file_reaches_its_nodes():
+    node, rviz = started(
+        SIMULATOR_LAUNCH,
+        namespace="north",
+        params_file="/some/file.yaml",
+        use_sim_time="true",
+        scenario_dirs="[/a, /b]",
+        rviz="true",
     )
-    assert {name: default for name, (default, _) in table.items()} == {
-        name: str(parameters[name]) for name in table
-    }
+    assert node.namespace == rviz.namespace == "north"
+    assert node.parameters[0] == "/some/file.yaml"
+    assert node.parameters[1] == {"scenario_dirs": ["/a", "/b"], "use_sim_time": True}
+    options = dict(zip(rviz.arguments[::2], rviz.arguments[1::2]))
+    assert stand_in.resolved(options["-d"], ROOT).is_file()
+    assert ("/markers", "markers") in rviz.remappings
+
+
+def test_a_slip_in_an_argument_is_told_and_arguments_of_others_are_not():
+    told, _ = started(SIMULATOR_LAUNCH, speedfactor="2", bag="x", ros_namespace="/y")
+    assert "no argument speedfactor; did you mean speed_factor?" in told.msg
+
+
+def test_a_value_that_the_node_would_refuse_is_refused():
+    with pytest.raises(ValueError, match="speed_factor must be 0 to 1000"):
+        started(SIMULATOR_LAUNCH, speed_factor="-1")
 
 
 def described(path: Path):
@@ -278,7 +314,7 @@ def test_what_launch_files_describe(path):
     """Nodes, parameters, arguments and files are there, so far as no launch is needed to say."""
     with stand_in.imported():
         entities = list(described(path).entities)
-        declared, used, started = {}, set(), []
+        declared, used, found = {}, set(), []
         included = [e for e in entities if isinstance(e, stand_in.IncludeLaunchDescription)]
         for include in included:
             file = stand_in.resolved(include.launch_description_source, ROOT)
@@ -289,7 +325,7 @@ def test_what_launch_files_describe(path):
             assert isinstance(entity.default_value, str) and entity.description
             declared[entity.name] = entity.default_value
         elif isinstance(entity, stand_in.Node):
-            started.append(entity.executable)
+            found.append(entity.executable)
             if entity.package == "derail_ros":
                 assert (ROOT / "scripts" / entity.executable).is_file()
                 used |= checked_parameters(entity, declared)
@@ -297,15 +333,12 @@ def test_what_launch_files_describe(path):
                 options = dict(zip(entity.arguments[::2], entity.arguments[1::2]))
                 assert stand_in.resolved(options["-d"], ROOT).is_file()
         else:
-            assert entity in included
+            assert entity in included or isinstance(entity, stand_in.OpaqueFunction)
     # An argument that is declared and goes nowhere is one that does nothing.
-    assert used == set(declared)
-    expected = {
-        "simulator": ["simulator"],
-        "simulator_with_recorder": ["recorder"],
-        "simulator_with_rviz": ["rviz2"],
-    }[path.name.partition(".")[0]]
-    assert started == expected and len(included) == (expected != ["simulator"])
+    opaque = [e for e in entities if isinstance(e, stand_in.OpaqueFunction)]
+    assert opaque or used | {"namespace"} == set(declared) | {"namespace"}
+    expected = {"simulator_with_recorder": ["recorder"]}.get(path.name.partition(".")[0], [])
+    assert found == expected and bool(included) != bool(opaque)
 
 
 def checked_parameters(node, declared) -> set[str]:

@@ -8,13 +8,14 @@ import pytest
 import yaml
 
 from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
-from msg_adapters.topics import TOPICS
+from msg_adapters.topics import LIVE_TOPICS, TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = {True: "Transient Local", False: "Volatile"}
 DISPLAYS = {
     "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
     "rviz_default_plugins/PoseArray": "geometry_msgs/msg/PoseArray",
+    "rviz_default_plugins/RobotModel": "std_msgs/msg/String",
 }
 
 
@@ -26,13 +27,14 @@ def test_rviz_subscribes_as_the_simulator_publishes():
     assert manager["Global Options"]["Fixed Frame"] == frame
     shown = set()
     for display in manager["Displays"]:
-        if "Topic" not in display:
+        place = display.get("Topic") or display.get("Description Topic")
+        if place is None:
             continue
-        topic = TOPICS[display["Topic"]["Value"].removeprefix("/")]
+        topic = (TOPICS | LIVE_TOPICS)[place["Value"].removeprefix("/")]
         assert topic.msgtype == DISPLAYS[display["Class"]]
-        assert display["Topic"]["Durability Policy"] == POLICIES[topic.latched]
+        assert place["Durability Policy"] == POLICIES[topic.latched]
         shown.add(topic.name)
-    assert shown >= {"markers", "track_markers"}
+    assert shown >= {"markers", "track_markers", "robot_description"}
 
 
 def test_foxglove_shows_fields_that_exist():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from rosbags.rosbag2 import Reader
 
+from derail_ros.recording import listener as listener_module
 from derail_ros.recording import record_run, recorder
 from derail_ros.recording.listener import Listener, message_stamp
 from msg_adapters.common import stamp_of, time_message
@@ -65,3 +66,52 @@ def test_what_comes_in_disorder_is_written_by_time(messages, tmp_path, monkeypat
         count = sum(c.msgcount for c in reader.connections if c.topic != "/manifest")
     assert set(first) == {"/consist", "/track"}
     assert count == len(messages)
+
+
+def heard(listener: Listener, rows: list, who: int, number: int) -> None:
+    """One message of the process ``who``, as the middleware brings it."""
+    name, data = rows[number]
+    identity = bytes([who] * 12) + bytes([number % 200, 0, 0, 3])
+    listener.take(f"/{name}", data, {"publisher_gid": {"data": identity}})
+
+
+def test_two_simulators_at_once_are_one_recording_and_no_loss(messages, tmp_path) -> None:
+    """Their times run beside each other: neither makes the other's begin anew."""
+    topics = {f"/{name}": topic for name, topic in TOPICS.items() if not name.startswith("/")}
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    late = len(messages) // 2
+    for number in range(late, len(messages)):
+        heard(listener, messages, 1, number)
+        heard(listener, messages, 2, number - late)
+    for number in range(late, len(messages)):
+        heard(listener, messages, 2, number)
+    listener.close()
+    assert len(listener.closed) == 1
+    assert all(counts["gaps"] == 0 for counts in listener.reports[0].values())
+
+
+def test_a_simulator_that_takes_the_place_of_one_that_is_gone_begins_anew(
+    messages, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(listener_module, "SILENCE", 0.0)
+    topics = {f"/{name}": topic for name, topic in TOPICS.items() if not name.startswith("/")}
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    for number in range(len(messages)):
+        heard(listener, messages, 1, number)
+    other = [(name, data) for name, data in messages if name == "car_poses"]
+    for number in range(len(other)):
+        heard(listener, other, 2, number)
+    listener.close()
+    assert len(listener.closed) == 2
+
+
+def test_topics_that_come_seconds_apart_are_of_one_recording(messages, tmp_path) -> None:
+    """As they do at high speed factors: all poses, then all markers, then what has a run."""
+    topics = {f"/{name}": topic for name, topic in TOPICS.items() if not name.startswith("/")}
+    listener = Listener(tmp_path / "bag", "mcap", topics)
+    order = {"car_poses": 0, "markers": 1}
+    rows = sorted(messages, key=lambda row: order.get(row[0], 2))
+    for number in range(len(rows)):
+        heard(listener, rows, 1, number)
+    listener.close()
+    assert len(listener.closed) == 1

@@ -68,7 +68,7 @@ def test_units_are_in_the_names():
         "m": "_m", "kg": "_kg", "kg m2": "_kg_m2", "N": "_N", "N/m": "_N_per_m", "s": "_s",
         "m/s": "_m_per_s", "km/h": "_kmh", "rad": "_rad", "rad/s": "_rad_per_s", "s/m": "_s_per_m",
         "s2/m2": "_s2_per_m2", "1/s": "_per_s", "1/s2": "_per_s2", "N s/m": "_N_s_per_m",
-        "kW": "_kW", "km/h, kN": "_kmh_kN", "1": "", "": "",
+        "kW": "_kW", "deg": "_deg", "km/h, kN": "_kmh_kN", "1": "", "": "",
     }  # fmt: skip
     for model in models():
         for name, info in model.model_fields.items():

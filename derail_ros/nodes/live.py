@@ -1,0 +1,144 @@
+"""What a simulator sends beside the messages of its recordings: frames, joints, sensors."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from derail_ros.nodes.outputs import Output
+from derail_ros.nodes.parameters import SENSORS, Settings
+from derail_ros.recording.session import Prepared
+from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.sample import Sample
+from derail_ros.vocabulary.simulation import Simulation
+from msg_adapters import sensors
+from msg_adapters.common import RunContext
+from msg_adapters.definitions import serialize
+from msg_adapters.frames import (
+    JointEncoder,
+    TransformEncoder,
+    robot_description,
+    static_transforms,
+)
+from msg_adapters.reports import string
+from msg_adapters.sensors import Datum, Sensor
+
+Messages = list[tuple[str, bytes]]
+GRAIN = 1e-9
+"""Times closer than this are the same, s."""
+
+
+def chosen_cars(text: str, n_cars: int) -> Iterator[tuple[int, str]]:
+    """Indices of cars, and what stands after a colon: ``"all"``, ``"1 20-25 30:front_truck"``.
+
+    Cars that the train does not have are left out.
+    """
+    for part in re.split(r"[\s,]+", text.strip()):
+        cars, _, place = part.partition(":")
+        first, _, last = cars.partition("-")
+        if cars == "all":
+            first, last = "1", str(n_cars)
+        if first:
+            yield from ((i - 1, place) for i in range(int(first), int(last or first) + 1)
+                        if 1 <= i <= n_cars)  # fmt: skip
+
+
+class LiveMessages:
+    """The messages of one run that its recording does not hold; see ``session.Live``."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        output: Output,
+        log: Any,
+        prepared: Prepared,
+        simulation: Simulation,
+        context: RunContext,
+    ) -> None:
+        self._settings, self._simulation, self._context = settings, simulation, context
+        self._ticks: dict[str, Callable[[Sample], bytes]] = {}
+        params, prefix = simulation.params, settings.prefix
+        if settings.publish_tf:
+            self._ticks["/tf"] = TransformEncoder(params, context, prefix)
+        self._ticks["joint_states"] = JointEncoder(len(params.cars), context, prefix)
+        self.topics = tuple(self._ticks)
+        self._events = 0
+        self._reached: dict[int, float] = {}
+        site = prepared.resolved.get("site") or {}
+        self._datum = _datum(site.get("datum"))
+        if settings.navsat and self._datum is None:
+            log.warning(f"no navsat: the scenario {prepared.name} has no site.datum")
+        # Rate, number of measurements so far, sensor.
+        self._sensors = [[rate, 0, sensor] for rate, sensor in self._make_sensors()]
+        for _, _, sensor in self._sensors:
+            output.offer(sensor.topic, sensor.msgtype)
+        self.due = 0.0 if self._sensors else math.inf
+
+    def _make_sensors(self) -> Iterator[tuple[float, Sensor]]:
+        settings, params, context = self._settings, self._simulation.params, self._context
+        prefix, n = settings.prefix, len(self._simulation.params.cars)
+        for number, name in enumerate(SENSORS):
+            noise, rate = (
+                getattr(settings, f"{name}_noise", 0.0),
+                getattr(settings, f"{name}_rate"),
+            )
+            for car, place in chosen_cars(getattr(settings, name), n):
+                rng = np.random.default_rng([settings.sensor_seed, number, car])
+                common = (context, prefix, noise, rng)
+                if name == "odometry":
+                    yield rate, sensors.Odometry(car, *common)
+                elif name == "imu":
+                    where, turn_noise = place or "body", settings.imu_turn_noise
+                    yield rate, sensors.Imu(car, where, params, *common, turn_noise)
+                elif name == "navsat" and self._datum is not None:
+                    yield rate, sensors.NavSat(car, *common, self._datum)
+                elif name == "wheel_speed":
+                    yield rate, sensors.WheelSpeed(car, params, *common)
+                elif name == "pipe_pressure":
+                    yield rate, sensors.PipePressure(car, *common, self._reached)
+
+    def begin(self) -> Messages:
+        """What is latched: the description of the train, and the frames that do not move."""
+        params, prefix = self._simulation.params, self._settings.prefix
+        text = robot_description(params, self._context.frame_id, prefix)
+        messages = [("robot_description", serialize(string(text)))]
+        if self._settings.publish_tf:
+            messages.append(("/tf_static", static_transforms(params, self._context, prefix)))
+        return messages
+
+    def tick(self, sample: Sample) -> Messages:
+        """Frames and joints."""
+        return [(topic, encode(sample)) for topic, encode in self._ticks.items()]
+
+    def measure(self, sample: Sample) -> Messages:
+        """The measurements that are due at the sample's time."""
+        events = self._simulation.events
+        for event in events[self._events :]:
+            if event.kind == EventKind.BRAKE_SIGNAL_REACHED:
+                self._reached.setdefault(event.cars[0], event.time)
+        self._events = len(events)
+        messages = []
+        for entry in self._sensors:
+            rate, count, sensor = entry
+            if count / rate <= sample.time + GRAIN:
+                entry[1] += 1
+                messages.append((sensor.topic, sensor(sample)))
+        self.due = min(count / rate for rate, count, _ in self._sensors)
+        return messages
+
+
+def _datum(data: Any) -> Datum | None:
+    """The datum of a scenario's site, if it has one."""
+    if data is None:
+        return None
+    azimuth = math.radians(data["azimuth_deg"])
+    return Datum(data["latitude_deg"], data["longitude_deg"], data["altitude_m"], azimuth)
+
+
+def live(settings: Settings, output: Output, log: Any) -> Callable[..., LiveMessages]:
+    """Makes the messages of a run, from its scenario, its simulation and its context."""
+    return lambda *run: LiveMessages(settings, output, log, *run)

@@ -1,0 +1,279 @@
+"""What sensors of cars would measure: the standard messages of ROS, from samples of a run.
+
+Ground truth with white noise of a given standard deviation, which the covariances tell. Frames are
+those of ``frames``; x is along the car, y to its left, z up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derail_ros.vocabulary.params import GRAVITY, TrainParams
+from msg_adapters.common import SENTINEL, RunContext
+from msg_adapters.definitions import message_class
+from msg_adapters.state import quaternions
+from msg_adapters.templates import Template, marked_header, quaternion, vector
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from derail_ros.vocabulary.sample import Sample
+
+EARTH_AXIS, EARTH_FLATTENING = 6_378_137.0, 1.0 / 298.257223563
+"""Ellipsoid of WGS 84: half axis, m, and flattening."""
+RUNNING_PRESSURE = 620_500.0
+"""Pressure above the atmosphere in a charged brake pipe, Pa: 90 psi, usual in North America."""
+VENTING_TIME = 0.5
+"""Time in which an emergency application takes the pipe's pressure at a car to 1/e of it, s. A
+guess: valves vent the pipe beside them within a second or two."""
+PLACES = ("body", "front_truck", "rear_truck")
+"""Places of an inertial measurement unit: the mass centre, or the axle boxes of a truck."""
+
+
+@dataclass(frozen=True)
+class Datum:
+    """Where on the Earth the origin of the inertial frame is (WGS 84).
+
+    ``azimuth`` is the direction of its x axis, rad, clockwise from north.
+    """
+
+    latitude: float  # deg, north positive
+    longitude: float  # deg, east positive
+    altitude: float = 0.0  # m above the ellipsoid
+    azimuth: float = 0.5 * math.pi
+
+    def fix(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+        """Latitude, longitude (deg) and altitude (m) of a place of the inertial frame, m.
+
+        By the radii of curvature at the datum, as on a plane that touches the ellipsoid there:
+        1 km away it is right to some centimetres.
+        """
+        c, s = math.cos(self.azimuth), math.sin(self.azimuth)
+        north, east = c * x + s * y, s * x - c * y
+        latitude = math.radians(self.latitude)
+        e2 = EARTH_FLATTENING * (2.0 - EARTH_FLATTENING)
+        w = math.sqrt(1.0 - e2 * math.sin(latitude) ** 2)
+        across = EARTH_AXIS / w + self.altitude
+        along = EARTH_AXIS * (1.0 - e2) / w**3 + self.altitude
+        return (
+            self.latitude + math.degrees(north / along),
+            self.longitude + math.degrees(east / (across * math.cos(latitude))),
+            self.altitude + z,
+        )
+
+
+class Sensor:
+    """A sensor at a car (index from 0): ``sensor(sample)`` gives the bytes of its message.
+
+    ``noise`` is a standard deviation in the unit of what is measured; ``topic`` and ``msgtype``
+    are what its messages are sent as.
+    """
+
+    msgtype: str
+
+    def __init__(self, name: str, car: int, context: RunContext, noise: float, rng: Any) -> None:
+        self.topic = f"car_{car + 1}/{name}"
+        self.context, self.car, self.noise, self._rng = context, car, noise, rng
+        self._template: Template | None = None
+
+    def _noisy(self, values: Any, noise: float | None = None) -> NDArray[np.float64]:
+        values, noise = np.atleast_1d(values).astype(float), self.noise if noise is None else noise
+        return values + noise * self._rng.standard_normal(values.shape) if noise else values
+
+    def _bytes(self, sample: Sample, values: Any) -> bytes:
+        if self._template is None:
+            self._template = Template(self._message())
+        return self._template(self.context.stamp(sample.time), np.asarray(values, dtype=float))
+
+    def _message(self) -> Any:
+        raise NotImplementedError
+
+    def __call__(self, sample: Sample) -> bytes:
+        """CDR bytes of the message."""
+        raise NotImplementedError
+
+
+def _in_car(sample: Sample, car: int, along: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Velocity and acceleration of a place on a car's axis, and its rates, in the car's axes.
+
+    v = v_m + w x r, a = a_m + dw/dt x r + w x (w x r), with r = (``along``, 0, 0) from the mass
+    centre and yaw only: the planar model has neither roll nor pitch.
+    """
+    yaw, rate, growth = (a[car, 5] for a in (sample.pose, sample.velocity, sample.acceleration))
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    velocity = turn @ sample.velocity[car, :3] + [0.0, rate * along, 0.0]
+    acceleration = turn @ sample.acceleration[car, :3] + [-(rate**2) * along, growth * along, 0.0]
+    return velocity, acceleration, sample.velocity[car, 3:]
+
+
+class Odometry(Sensor):
+    """``nav_msgs/Odometry``: pose in the inertial frame, velocity in the car's."""
+
+    msgtype = "nav_msgs/msg/Odometry"
+
+    def __init__(self, car: int, context: RunContext, prefix: str, noise: float, rng: Any) -> None:
+        super().__init__("odometry", car, context, noise, rng)
+        self._child = f"{prefix}car_{car + 1}"
+
+    def _message(self) -> Any:
+        pose = message_class("geometry_msgs/msg/Pose")
+        point = message_class("geometry_msgs/msg/Point")(*(SENTINEL,) * 3)
+        twist = message_class("geometry_msgs/msg/Twist")(vector(), vector())
+        zero = np.zeros(36)
+        return message_class(self.msgtype)(
+            marked_header(self.context.frame_id),
+            self._child,
+            message_class("geometry_msgs/msg/PoseWithCovariance")(pose(point, quaternion()), zero),
+            message_class("geometry_msgs/msg/TwistWithCovariance")(twist, zero),
+        )
+
+    def __call__(self, sample: Sample) -> bytes:
+        i = self.car
+        velocity, _, rates = _in_car(sample, i, 0.0)
+        turn = quaternions(sample.pose[i : i + 1])[0]
+        return self._bytes(sample, [*sample.pose[i, :3], *turn, *velocity, *rates])
+
+
+class Imu(Sensor):
+    """``sensor_msgs/Imu``: orientation, rates of turn, and acceleration, which gravity is part of.
+
+    ``noise`` is that of the acceleration, m/s^2, ``turn_noise`` that of the rates, rad/s.
+    """
+
+    msgtype = "sensor_msgs/msg/Imu"
+
+    def __init__(
+        self,
+        car: int,
+        place: str,
+        params: TrainParams,
+        context: RunContext,
+        prefix: str,
+        noise: float,
+        rng: Any,
+        turn_noise: float = 0.0,
+    ) -> None:
+        super().__init__(f"imu_{place}", car, context, noise, rng)
+        distance = params.cars[car].truck_distance
+        self._along = {"body": 0.0, "front_truck": distance, "rear_truck": -distance}[place]
+        self._frame = f"{prefix}car_{car + 1}" + ("" if place == "body" else f"/{place}")
+        self._turn_noise = turn_noise
+
+    def _message(self) -> Any:
+        def covariance(noise: float) -> NDArray[np.float64]:
+            return noise**2 * np.eye(3).reshape(-1)
+
+        return message_class(self.msgtype)(
+            marked_header(self._frame),
+            quaternion(),
+            covariance(0.0),
+            vector(),
+            covariance(self._turn_noise),
+            vector(),
+            covariance(self.noise),
+        )
+
+    def __call__(self, sample: Sample) -> bytes:
+        _, acceleration, rates = _in_car(sample, self.car, self._along)
+        felt = self._noisy(acceleration + [0.0, 0.0, GRAVITY])
+        turn = quaternions(sample.pose[self.car : self.car + 1])[0]
+        return self._bytes(sample, [*turn, *self._noisy(rates, self._turn_noise), *felt])
+
+
+class NavSat(Sensor):
+    """``sensor_msgs/NavSatFix`` of the mass centre; ``noise`` is in metres each way."""
+
+    msgtype = "sensor_msgs/msg/NavSatFix"
+
+    def __init__(
+        self, car: int, context: RunContext, prefix: str, noise: float, rng: Any, datum: Datum
+    ) -> None:
+        super().__init__("fix", car, context, noise, rng)
+        self._frame, self._datum = f"{prefix}car_{car + 1}", datum
+
+    def _message(self) -> Any:
+        kind = message_class(self.msgtype)
+        status = message_class("sensor_msgs/msg/NavSatStatus")
+        covariance = self.noise**2 * np.eye(3).reshape(-1)
+        return kind(
+            marked_header(self._frame),
+            status(status=status.STATUS_FIX, service=status.SERVICE_GPS),
+            *(SENTINEL,) * 3,
+            covariance,
+            kind.COVARIANCE_TYPE_KNOWN,
+        )
+
+    def __call__(self, sample: Sample) -> bytes:
+        place = self._noisy(sample.pose[self.car, :3])
+        return self._bytes(sample, self._datum.fix(*place.tolist()))
+
+
+class WheelSpeed(Sensor):
+    """``geometry_msgs/TwistStamped``: speed of the front truck along the car, as its wheels turn.
+
+    The model has no slip. A derailed truck has no wheel that rolls: NaN.
+    """
+
+    msgtype = "geometry_msgs/msg/TwistStamped"
+
+    def __init__(
+        self,
+        car: int,
+        params: TrainParams,
+        context: RunContext,
+        prefix: str,
+        noise: float,
+        rng: Any,
+    ) -> None:
+        super().__init__("wheel_speed", car, context, noise, rng)
+        self._along = params.cars[car].truck_distance
+        self._frame = f"{prefix}car_{car + 1}/front_truck"
+
+    def _message(self) -> Any:
+        twist = message_class("geometry_msgs/msg/Twist")
+        zero = vector(0.0, 0.0, 0.0)
+        return message_class(self.msgtype)(
+            marked_header(self._frame), twist(vector(SENTINEL, 0.0, 0.0), zero)
+        )
+
+    def __call__(self, sample: Sample) -> bytes:
+        velocity, _, _ = _in_car(sample, self.car, self._along)
+        rolls = bool(sample.truck_on[self.car, 0])
+        return self._bytes(sample, self._noisy(velocity[0] if rolls else math.nan))
+
+
+class PipePressure(Sensor):
+    """``sensor_msgs/FluidPressure`` of the brake pipe at a car, Pa above the atmosphere.
+
+    The model has the signal of an emergency application and no pressure: from the running
+    pressure it falls as an exponential from the moment the signal reaches the car.
+    ``reached`` is the car's number -> that run time (s); who has the events fills it in.
+    """
+
+    msgtype = "sensor_msgs/msg/FluidPressure"
+
+    def __init__(
+        self,
+        car: int,
+        context: RunContext,
+        prefix: str,
+        noise: float,
+        rng: Any,
+        reached: Mapping[int, float],
+    ) -> None:
+        super().__init__("brake_pipe_pressure", car, context, noise, rng)
+        self._frame, self._reached = f"{prefix}car_{car + 1}", reached
+
+    def _message(self) -> Any:
+        header = marked_header(self._frame)
+        return message_class(self.msgtype)(header, SENTINEL, float(self.noise**2))
+
+    def __call__(self, sample: Sample) -> bytes:
+        since = max(0.0, sample.time - self._reached.get(self.car + 1, math.inf))
+        return self._bytes(sample, self._noisy(RUNNING_PRESSURE * math.exp(-since / VENTING_TIME)))
