@@ -28,7 +28,7 @@ MAY_BE_NAN = {
 """Fields of ``derail_msgs/msg/<kind>`` in which NaN says that there is none."""
 POSITIVE = {"Consist": ("mass", "length", "width", "represents_cars")}
 LEDGERS = ("entries", "energy")
-"""Lists of quantities in which every number is finite."""
+"""Lists of quantities in which every number is finite, as is all that a train is told by."""
 GROUPS = ("corner_", "coupling_", "rail_break_", "striker_")
 """Lists of a message have one length, and those whose names begin like this one of their own."""
 FINITE = (
@@ -58,7 +58,8 @@ def is_plausible(kind: str, message: Any) -> bool:
             nan = name in MAY_BE_NAN.get(kind, ())
             (or_none if nan else numbers).append(np.atleast_1d(value))
         if of == "derail_msgs/msg/Quantity[]":
-            (numbers if name in LEDGERS else or_none).extend(np.asarray(q.values) for q in value)
+            known = name in LEDGERS or kind == "Consist"
+            (numbers if known else or_none).extend(np.asarray(q.values) for q in value)
         elif of.endswith("[]") and name not in FREE.get(kind, ()):
             group = next((g for g in GROUPS if name.startswith(g)), "")
             if lengths.setdefault(group, len(value)) != len(value):
