@@ -499,6 +499,22 @@ def joints_table() -> Table:
     return Table(heads, rows)
 
 
+def gracie_table() -> Table:
+    """Growth of an error in Gracie's model of 1991, over the increment of time."""
+    from derail_ros.baselines.gracie import advance, growth, least_increment
+
+    row, spring = np.full(10, 68e3), 3.15e6
+    force = np.zeros(10)
+    force[0] = 1e4
+    rows = []
+    for increment in (0.01, 0.05, 0.1, 0.5, 1.05 * least_increment(row, spring)):
+        x = advance(row, spring, force, increment, 20)
+        moved = [f"{np.abs(x[k]).max():.2g}" for k in (5, 10, 20)]
+        rows.append([f"{increment:.2f}", f"{growth(row, spring, increment):.3g}", *moved])
+    heads = ["increment (s)", "growth each", "m after 5", "after 10", "after 20 increments"]
+    return Table(heads, rows)
+
+
 def many_trains(n: int = 10_000) -> str:
     """Many trains through the blockage model at once, timed."""
     from derail_ros.baselines.blockage import blockage
@@ -531,6 +547,7 @@ def blocks(cases: Cases, scope: Scope, about: str) -> dict[str, Any]:
             cases, "cars derailed", "tuned", scope.tuned_speeds, frictions
         ),
         "joints": joints_table(),
+        "gracie": gracie_table(),
         "many_trains": many_trains(),
         "about": about,
     }
@@ -538,8 +555,8 @@ def blocks(cases: Cases, scope: Scope, about: str) -> dict[str, Any]:
 
 NAMES = (
     "base_train", "mississauga", "yang_manos_base", "yang_manos_speed", "yang_manos_accidents",
-    "yang_manos_choices", "anderson_limit", "roorda_gracie_friction", "joints", "many_trains",
-    "about",
+    "yang_manos_choices", "anderson_limit", "roorda_gracie_friction", "joints", "gracie",
+    "many_trains", "about",
 )  # fmt: skip
 """Results of the page."""
 

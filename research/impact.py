@@ -11,12 +11,13 @@ The cars have no draft gear in the model, and their standing row is one mass, as
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from derail_ros.engine.laws.contact import gap_force, speed_factor
+from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE, gap_force, speed_factor
 from derail_ros.vocabulary.params import ContactParams
 
 STRIKING, STANDING = 158e3, 327e3
@@ -42,7 +43,8 @@ class Impact:
     speed_kmh: float
     peak_force_N: float  # between the cars, both corners
     duration_s: float  # while the force is above a tenth of its peak
-    parting_speed_mps: float  # at which the cars part
+    parting_speed_mps: float  # at which the cars part; nan if the one passes through the other
+    depth_m: float  # how far a corner gets inside
 
 
 def impact(
@@ -62,16 +64,17 @@ def impact(
     if not speed_kmh > 0.0:
         raise ValueError(f"speed_kmh must be positive, got {speed_kmh}")
     c = ContactParams() if contact is None else contact
-    form = 1 if c.gap_law == "lorentzian" else 0
+    form, even = GAP_LAWS[c.gap_law], INSIDE[c.inside]
     mass = striking * standing / (striking + standing)
 
     def force(x: float, v: float) -> float:
-        push = gap_force(x, c.force_max, c.half_distance, c.buffer, form)
+        push = gap_force(x, c.force_max, c.half_distance, c.buffer, form, even)
         return 2.0 * push * speed_factor(v, c.c1, c.c2, c.c3)
 
     x, v = c.buffer, speed_kmh / 3.6
     forces = []
-    while v > 0.0 or x < c.buffer:  # classical Runge-Kutta of order 4
+    deepest = x
+    while (v > 0.0 or x < c.buffer) and x > -c.buffer:  # classical Runge-Kutta of order 4
         f1 = force(x, v)
         f2 = force(x - 0.5 * STEP * v, w2 := v - 0.5 * STEP * f1 / mass)
         f3 = force(x - 0.5 * STEP * w2, w3 := v - 0.5 * STEP * f2 / mass)
@@ -79,9 +82,12 @@ def impact(
         forces.append(f1)
         x -= STEP / 6.0 * (v + 2.0 * w2 + 2.0 * w3 + w4)
         v -= STEP / (6.0 * mass) * (f1 + 2.0 * f2 + 2.0 * f3 + f4)
+        deepest = min(deepest, x)
     found = np.array(forces)
     strong = np.flatnonzero(found > 0.1 * found.max())
-    return Impact(speed_kmh, float(found.max()), STEP * float(strong[-1] - strong[0]), -v)
+    lasted = STEP * float(strong[-1] - strong[0])
+    parting = -v if x > 0.0 else math.nan
+    return Impact(speed_kmh, float(found.max()), lasted, parting, max(-deepest, 0.0))
 
 
 def impacts(contact: ContactParams | None = None) -> Sequence[Impact]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ from derail_ros import models
 from derail_ros.review.scene import make_scene, scene_from_simulation
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.ensemble import ensemble_jobs, gather
+from derail_ros.studies.published import load_published
 
 if TYPE_CHECKING:
     from derail_ros.review.scene import Scene
@@ -49,14 +49,12 @@ class PublishedDetails:
 
 
 def load_published_run() -> PublishedDetails:
-    """Read what is published."""
-    import yaml
-
-    data = yaml.safe_load((Path(__file__).parent / "mississauga.yaml").read_text("utf-8"))
+    """What is published."""
+    data = load_published().text
     return PublishedDetails(
         peaks=tuple(
-            Peak((p["pair"][0], p["pair"][1]), 1e6 * p["force_MN"], p["time_s"])
-            for p in data["peaks"]
+            Peak((p["pair"][0], p["pair"][1]), p["force_N"], p["time_s"])
+            for p in data["collisions"]
         ),
         above=tuple(data["cars_above_10MN"]),
         scenes={s["time_s"]: s["text"] for s in data["scenes"]},

@@ -54,6 +54,7 @@ GOALS = {
     "peak_log_ratio": "peak, median size of ln",
     "length_rms": "length, rms",
     "width_rms": "width, rms",
+    "pair_share": "published pair, share",
 }
 
 

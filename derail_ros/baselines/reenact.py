@@ -59,6 +59,15 @@ def scenario_of(base: Scenario, report: Report) -> Scenario:
     return base.with_overrides(dict(zip(GIVEN, values, strict=True)))
 
 
+def real_base_train(settings: Mapping[str, Any] | None = None) -> Scenario:
+    """The base train as a real train: its bodies do not pass through each other."""
+    from derail_ros.scenario import load_scenario
+
+    return load_scenario("base_train").with_overrides(
+        {"contact.inside": "held", **(settings or {})}
+    )
+
+
 def train_of(base: Scenario, report: Report) -> TrainParams:
     """Parameters of :func:`scenario_of`."""
     return scenario_of(base, report).to_params()
@@ -116,10 +125,7 @@ def reenact(
     progress: Progress | None = None,
 ) -> Counts:
     """Run the train of each report once in each way; reports must have a mass."""
-    from derail_ros.scenario import load_scenario
-
-    base = load_scenario("base_train")
-    bases = [base.with_overrides(way.settings) for way in ways]
+    bases = [real_base_train(way.settings) for way in ways]
 
     def runs() -> Iterator[Job]:
         for k, report in enumerate(reports):

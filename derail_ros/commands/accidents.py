@@ -126,7 +126,7 @@ def read(paths: Sequence[Path]) -> list[Report]:
 
 def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str]) -> int:
     """Print the train of a report as a scenario."""
-    from derail_ros.baselines.reenact import told_scenario
+    from derail_ros.baselines.reenact import real_base_train, told_scenario
 
     if not paths:
         raise CommandFailure("--report: name the files of the reports")
@@ -139,7 +139,7 @@ def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str])
         )
     _ways([], settings)
     try:
-        scenario = told_scenario(common.load("base_train", settings), found[0])
+        scenario = told_scenario(real_base_train(common.overrides(settings)), found[0])
     except ValueError as error:
         raise CommandFailure(f"--report: {error}") from None
     print(scenario.to_yaml(), end="")
@@ -148,13 +148,13 @@ def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str])
 
 def _ways(models: Sequence[str], settings: Sequence[str]) -> list[Way]:
     """Each model with these settings; a mistake in them is reported before the first run."""
-    from derail_ros.baselines.reenact import GIVEN, Way
+    from derail_ros.baselines.reenact import GIVEN, Way, real_base_train
 
     overrides = common.overrides(settings)
     for path in overrides:
         if any(given == path or given.startswith(f"{path}.") for given in GIVEN):
             raise CommandFailure(f"--set: {path} is given by each report")
-    common.load("base_train", settings)
+    real_base_train(overrides)
     return [Way(name, name, overrides) for name in dict.fromkeys(models)]
 
 

@@ -20,20 +20,32 @@ def validate(
     seed: Seed = 0,
     jobs: Jobs = None,
     settings: Annotated[Texts, changes("a value in all cases")] = None,
+    numerics: Annotated[
+        str,
+        typer.Option(
+            help="shipped, or source: RKF45, Baumgarte stabilization, tests at ends of steps."
+        ),
+    ] = "shipped",
     as_json: Json = False,
 ) -> int:
     """Compare ensembles with the published runs."""
     from derail_ros.studies import validation as v
     from derail_ros.studies.records import with_status
 
+    if numerics not in v.NUMERICS:
+        known = " or ".join(v.NUMERICS)
+        raise CommandFailure(f"--numerics must be {known}, got {numerics!r}")
     overrides = common.overrides(settings)
     with common.counting_runs("validate") as progress:
-        result = v.validate(members, seed, jobs=jobs, settings=overrides, progress=progress)
+        result = v.validate(
+            members, seed, settings=overrides, numerics=numerics, jobs=jobs, progress=progress
+        )
     if as_json:
         common.print_json("validation", result.as_dict())
     else:
         doubt = [v.doubt_table(result)] if result.doubtful else []
-        common.print_tables(*v.measure_tables(result), v.goal_table(result), *doubt)
+        said = [v.pair_table(result), v.statement_table(result), v.goal_table(result)]
+        common.print_tables(*v.measure_tables(result), *said, *doubt)
     return common.exit_code(*with_status(result.ensembles))
 
 

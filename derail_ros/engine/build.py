@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, State
+from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
@@ -21,7 +22,6 @@ from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES, ENDS
 F64 = NDArray[np.float64]
 
 SHOES = {"none": 0.0, "composition": 1.0, "cast_iron": 2.0}
-GAP_LAWS = {"gaussian": 0.0, "lorentzian": 1.0}
 STABILIZATIONS = {"projection": 1.0, "baumgarte": 0.0}
 ARRIVALS = dict(
     zip(BRAKE_MODES, (layout.ARR_CONV, layout.ARR_INST, layout.ARR_TL, layout.ARR_INST_TL))
@@ -127,7 +127,9 @@ def validate(params: TrainParams) -> None:
         positive(getattr(c, name), f"contact.{name}")
     for name in ("c1", "c2", "c3", "begin_force", "end_force", "end_hold"):
         finite(getattr(c, name), f"contact.{name}", 0.0)
-    require(c.gap_law in GAP_LAWS, "contact.gap_law", f"must be one of {', '.join(GAP_LAWS)}")
+    for name, known in (("gap_law", GAP_LAWS), ("inside", INSIDE)):
+        given = getattr(c, name)
+        require(given in known, f"contact.{name}", f"must be one of {', '.join(known)}")
     require(
         c.end_force <= c.begin_force, "contact.end_force", "must not be above contact.begin_force"
     )
@@ -264,6 +266,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
         "end_force": c.end_force,
         "end_hold": c.end_hold,
         "gap_law": GAP_LAWS[c.gap_law],
+        "even_inside": INSIDE[c.inside],
         "lv_limit": p.derailment.lv_limit,
         "break_follows": p.derailment.break_follows_lateral,
         "rtol": m.rtol,

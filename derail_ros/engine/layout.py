@@ -31,7 +31,7 @@ PAR = _table("""
     brake_system radio_delay  # index in params.BRAKE_SYSTEMS; s
     ground_cs ground_cd ground_eps ground_cv ground_scale
     force_max half_distance buffer c1 c2 c3 begin_force end_force end_hold  # of contacts
-    gap_law  # 0 gaussian, 1 lorentzian
+    gap_law even_inside  # numbers of laws.contact.GAP_LAWS and INSIDE
     lv_limit break_follows
     rtol
     project baumgarte_v baumgarte_q  # 1: projection, 0: Baumgarte

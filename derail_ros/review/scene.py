@@ -142,9 +142,11 @@ MARGIN = 60.0
 """Track that is drawn beyond the cars at both ends, m."""
 
 
-def scene_from_simulation(simulation: Simulation, title: str = "", subtitle: str = "") -> Scene:
-    """The scene of a simulation at its present time."""
-    sample = simulation.sample()
+def scene_from_simulation(
+    simulation: Simulation, title: str = "", subtitle: str = "", time: float | None = None
+) -> Scene:
+    """The scene of a simulation at its present time, or at one within its last step (s)."""
+    sample = simulation.sample(time)
     return make_scene(
         simulation.params.cars,
         sample.plane,

@@ -195,7 +195,7 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     """
     for name, kind in model.train.car_types.items():
         check_car_type(kind, ("train", "car_types", name))
-    couplers = _couplers(model, stock)
+    couplers = coupler_types(model, stock)
     entries = tuple(
         _entry(block, ("train", "consist", i), model, stock, couplers)
         for i, block in enumerate(model.train.consist)
@@ -215,7 +215,7 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
 # --- rolling stock ----------------------------------------------------------------------------
 
 
-def _couplers(model: ScenarioModel, stock: RollingStock) -> dict[str, CouplerType]:
+def coupler_types(model: ScenarioModel, stock: RollingStock) -> dict[str, CouplerType]:
     """Engine coupler types by name: the library's, with the scenario's changes and additions."""
     section = model.couplers
     specs: dict[str, CouplerSpec] = dict(stock.couplers)

@@ -28,6 +28,7 @@ from derail_ros.scenario.resolve import (
     DEFAULT_WIDTH,
     Block,
     Resolved,
+    coupler_types,
     derailed_trucks,
     resolve,
     train_params,
@@ -45,7 +46,7 @@ from derail_ros.scenario.strict_yaml import (
     parse_value,
 )
 from derail_ros.scenario.units import canonical, field_of
-from derail_ros.vocabulary.params import PLANAR, TrainParams
+from derail_ros.vocabulary.params import PLANAR, CouplerType, TrainParams
 from derail_ros.vocabulary.train import TrainTotals, train_totals
 
 V = TypeVar("V")
@@ -143,6 +144,10 @@ class Scenario:
     @cached_property
     def _known(self) -> dict[str, Any]:
         return {"model": self.model.model, **self.resolved()}
+
+    def coupler_types(self) -> dict[str, CouplerType]:
+        """All coupler types that the scenario knows, by name: the library's and its own."""
+        return coupler_types(self.model, self._stock)
 
     def to_params(self) -> TrainParams:
         """Parameters of the engine, SI units."""

@@ -622,10 +622,10 @@ class Brakes(Section):
 class Ground(Section):
     """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the weight."""
 
-    c_s: Number = _engine(GroundParams, "c_s", "1", "static coefficient [R]", ge=0, le=100)
-    c_d: Number = _engine(GroundParams, "c_d", "1", "dynamic coefficient [R]", ge=0, le=100)
+    c_s: Number = _engine(GroundParams, "c_s", "1", "static coefficient", ge=0, le=100)
+    c_d: Number = _engine(GroundParams, "c_d", "1", "dynamic coefficient", ge=0, le=100)
     eps_m_per_s: Number = _engine(
-        GroundParams, "eps", "m/s", "speed that smooths the change at rest [R]", gt=0, le=10
+        GroundParams, "eps", "m/s", "speed that smooths the change at rest", gt=0, le=10
     )
     c_v_s_per_m: Number = _engine(
         GroundParams, "c_v", "s/m", "growth with speed [R]", ge=0, le=100
@@ -639,10 +639,10 @@ class Contact(Section):
     """Collisions between cars."""
 
     force_max_N: Number = _engine(
-        ContactParams, "force_max", "N", "force at contact and beyond, F_max [R]", gt=0, le=1e9
+        ContactParams, "force_max", "N", "force at contact, F_max", gt=0, le=1e9
     )
     half_distance_m: Number = _engine(
-        ContactParams, "half_distance", "m", "gap at which it is half, d_c [R]", gt=0, le=10
+        ContactParams, "half_distance", "m", "gap at which it is half, d_c", gt=0, le=10
     )
     buffer_m: Number = _engine(
         ContactParams, "buffer", "m", "gap from which there is none, d_b", gt=0, le=10
@@ -652,8 +652,14 @@ class Contact(Section):
     )
     c2_s_per_m: Number = _engine(ContactParams, "c2", "s/m", "speed factor: of v", ge=0, le=100)
     c3: Number = _engine(ContactParams, "c3", "1", "speed factor: constant", ge=0, le=100)
-    gap_law: Literal["gaussian", "lorentzian"] = _engine(
-        ContactParams, "gap_law", "", "shape of the gap law: gaussian or lorentzian [R]"
+    gap_law: Literal["gaussian", "lorentzian", "sech2", "quartic"] = _engine(
+        ContactParams, "gap_law", "", "shape of the gap law [R]"
+    )
+    inside: Literal["held", "even"] = _engine(
+        ContactParams,
+        "inside",
+        "",
+        "inside a body: held at F_max, or even, the same bell as outside (published runs) [R]",
     )
     begin_force_N: Number = _engine(
         ContactParams, "begin_force", "N", "a collision begins above this [R]", gt=0, le=1e8

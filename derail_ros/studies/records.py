@@ -38,12 +38,14 @@ class Distribution:
     measure : what is measured
     values : (n,) in the order of the members
     published, accident : of the published run and of the accident itself; None: not known
+    noise : scatter of the published value itself, relative: the band is widened by it
     """
 
     measure: Measure
     values: F64
     published: float | None = None
     accident: float | None = None
+    noise: float = 0.0
 
     @property
     def mean(self) -> float:
@@ -71,11 +73,11 @@ class Distribution:
 
     @property
     def inside(self) -> bool | None:
-        """Whether the published value lies in the 90 % band."""
+        """Whether the published value lies in the 90 % band, widened by its noise."""
         if self.published is None or not len(self.values):
             return None
         low, high = self.band
-        return low <= self.published <= high
+        return low * (1.0 - self.noise) <= self.published <= high * (1.0 + self.noise)
 
     @property
     def apart(self) -> float:
@@ -104,6 +106,7 @@ class Distribution:
             "quantiles": {f"{100 * q:g} %": self.quantile(q) for q in QUANTILES},
             "median_difference_of_two_runs": self.apart,
             "published": self.published,
+            "published_noise": self.noise,
             "inside_band": self.inside,
             "accident": self.accident,
             "values": self.values.tolist(),

@@ -246,7 +246,11 @@ class BrakeParams:
 
 @dataclass(frozen=True)
 class GroundParams:
-    """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` (all [R] but the form)."""
+    """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the load.
+
+    The source prints ``c_s``, ``c_d`` and ``eps``; its equation, and the unit of the 3.0 that it
+    prints for ``c_v``, are lost [R].
+    """
 
     c_s: float = 0.8
     c_d: float = 0.7
@@ -257,7 +261,7 @@ class GroundParams:
 
 @dataclass(frozen=True)
 class ContactParams:
-    """Collision law (all but the buffer and the asymmetry reconstructed [R]).
+    """Collision law. The source prints all but its form, and when a contact begins and ends.
 
     Attributes
     ----------
@@ -265,17 +269,20 @@ class ContactParams:
     half_distance : ``d_c`` at which the force is half of ``F_max``, m
     buffer : ``d_b`` beyond which there is none, m
     c1, c2, c3 : speed factor ``c1 v|v| + c2 v + c3``
+    gap_law : shape of the bell, "gaussian", "lorentzian", "sech2" or "quartic" [R]
+    inside : inside a body, the same bell ("even") or ``F_max`` ("held") [R]
     begin_force, end_force, end_hold : a contact is an event from ``begin_force`` (N) until it
-        has been below ``end_force`` (N) for ``end_hold`` (s)
+        has been below ``end_force`` (N) for ``end_hold`` (s) [R]
     """
 
-    force_max: float = 2.4e6
+    force_max: float = 3.0e6
     half_distance: float = 0.08
     buffer: float = 0.8
     c1: float = 0.025
     c2: float = 0.1
     c3: float = 1.0
     gap_law: str = "gaussian"
+    inside: str = "held"
     begin_force: float = 10_000.0
     end_force: float = 5_000.0
     end_hold: float = 0.020

@@ -134,7 +134,10 @@ def scenario(number: int) -> dict[str, Any]:
             "scale": float(rng.choice([1.0, rng.uniform(0.3, 2.5)])),
             "c_v_s_per_m": float(rng.choice([0.03, rng.uniform(0.0, 0.1)])),
         },
-        "contact": {"gap_law": str(rng.choice(["gaussian", "gaussian", "lorentzian"]))},
+        "contact": {
+            "gap_law": str(rng.choice(["gaussian", "gaussian", "lorentzian", "sech2", "quartic"])),
+            "inside": str(rng.choice(["held", "even"])),
+        },
         "derailment": {
             "lv_limit": float(rng.choice([2.0, rng.uniform(0.6, 4.0)])),
             "break_follows_lateral": bool(rng.random() < 0.3),

@@ -320,6 +320,22 @@ def test_deep_penetration_in_motion():
     assert rear < -B
 
 
+def test_through_the_even_wall_costs_the_area_of_the_bell():
+    # without speed dependence two corners take 2 F_max d_c sqrt(pi / ln 2) on their way in
+    even = ContactParams(inside="even", c1=0.0, c2=0.0)
+    q = coordinates([(1.0, B + A + 0.9, 0.5 * math.pi), (0.0, 0.0, 0.0)])
+    run = start(replace(TWINS, contact=even), q, coordinates([(0.0, -12.0, 0.0), (0.0,) * 3]))
+    for _ in steps_of(run, 0.5):
+        s = run.sample()
+        if s.q[0, 1] - A - s.q[1, 1] < B - 0.85:
+            break
+    work = 2.0 * F_MAX * D_C * math.sqrt(math.pi / math.log(2.0))
+    mass = 0.5 * TWINS.cars[0].mass
+    closing = s.v[1, 1] - s.v[0, 1]
+    assert 0.5 * mass * (12.0**2 - closing**2) == pytest.approx(work, rel=2e-3)
+    assert s.corner_gap[0, 2] < -0.5 or np.isnan(s.corner_gap[0, 2])
+
+
 # Any pair --------------------------------------------------------------------------------------
 
 POSES = st.tuples(st.floats(-14.5, 14.5), st.floats(-9.5, 9.5), st.floats(-3.2, 3.2))

@@ -183,6 +183,7 @@ def test_what_must_not_be_negative(path):
         ("cars.1.represents", 3, None),  # only the last may be virtual
         ("cars.1.brakes.0.shoe", "wood", None),
         ("contact.gap_law", "spline", None),
+        ("contact.inside", "odd", None),
         ("contact.end_force", 20e3, None),
         ("integration.method", "euler", None),
         ("integration.stabilization", "hope", None),

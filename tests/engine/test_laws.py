@@ -16,7 +16,7 @@ from derail_ros.engine.laws.brake import (
     rise,
     smooth_direction,
 )
-from derail_ros.engine.laws.contact import gap_force, speed_factor
+from derail_ros.engine.laws.contact import GAP_LAWS, gap_force, speed_factor
 from derail_ros.engine.laws.ground import BODY_POINTS, drag, resistance
 from derail_ros.engine.laws.knuckle import (
     POLYNOMIALS,
@@ -199,7 +199,7 @@ FACTOR = (0.025, 0.1, 1.0)
 
 def test_contact_defaults():
     c = ContactParams()
-    assert (c.force_max, c.half_distance, c.buffer) == (2.4e6, *GAP[1:])
+    assert (c.force_max, c.half_distance, c.buffer) == GAP
     assert (c.c1, c.c2, c.c3) == FACTOR
     assert (c.begin_force, c.end_force, c.end_hold) == (10e3, 5e3, 0.020)
 
@@ -220,14 +220,35 @@ def test_contact_defaults():
 )
 def test_gap_force_by_hand(x, force):
     # the last bits of 2^-100 are those of the gap
-    assert gap_force(x, *GAP, 0) == pytest.approx(force, rel=1e-9, abs=0.0)
+    assert gap_force(x, *GAP, 0, 0) == pytest.approx(force, rel=1e-9, abs=0.0)
 
 
-def test_gap_force_of_the_other_bell():
-    assert gap_force(0.08, *GAP, 1) == pytest.approx(1.5e6)
-    assert gap_force(0.24, *GAP, 1) == pytest.approx(0.3e6)
-    assert gap_force(0.0, *GAP, 1) == 3.0e6
-    assert gap_force(0.8, *GAP, 1) == 0.0
+SHAPES = {
+    "gaussian": lambda r: 2.0 ** -(r * r),
+    "lorentzian": lambda r: 1.0 / (1.0 + r * r),
+    "sech2": lambda r: 1.0 - math.tanh(math.acosh(math.sqrt(2.0)) * r) ** 2,
+    "quartic": lambda r: 1.0 / (1.0 + r**4),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_shapes_of_the_gap_law(shape):
+    law = GAP_LAWS[shape]
+    for even in (0, 1):
+        assert gap_force(0.0, *GAP, law, even) == 3.0e6
+        assert gap_force(0.08, *GAP, law, even) == pytest.approx(1.5e6, rel=1e-12)
+        assert gap_force(0.8, *GAP, law, even) == 0.0
+        for x in (0.02, 0.12, 0.24):
+            expected = 3.0e6 * SHAPES[shape](x / 0.08)
+            assert gap_force(x, *GAP, law, even) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_inside_a_body_the_bell_is_even_or_held(shape):
+    law = GAP_LAWS[shape]
+    for x in (1e-9, 0.05, 0.3, 0.8, 1.3):
+        assert gap_force(-x, *GAP, law, 1) == gap_force(x, *GAP, law, 1)
+        assert gap_force(-x, *GAP, law, 0) == 3.0e6
 
 
 @pytest.mark.parametrize(

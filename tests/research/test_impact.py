@@ -1,12 +1,15 @@
 """The collision law beside the tank car impact tests."""
 
+import math
+
 import pytest
 
+from derail_ros.engine.laws.contact import GAP_LAWS
 from derail_ros.vocabulary.params import ContactParams
 from research.impact import impact, impacts, words
 
 
-@pytest.mark.parametrize("law", ["gaussian", "lorentzian"])
+@pytest.mark.parametrize("law", GAP_LAWS)
 def test_an_impact_without_speed_dependence_gives_its_energy_back(law):
     contact = ContactParams(c1=0.0, c2=0.0, half_distance=0.3, gap_law=law)
     found = impact(5.0, contact=contact)
@@ -19,6 +22,14 @@ def test_an_impact_that_the_force_never_stops_within_the_gap():
     contact = ContactParams(c1=0.0, c2=0.0)
     found = impact(25.0, contact=contact)
     assert found.peak_force_N == 2.0 * contact.force_max
+
+
+def test_an_even_wall_lets_the_hardest_blow_through():
+    # 2.57 MJ against 2 F_max d_c sqrt(pi / ln 2) of the whole bell, times a factor below 2.9
+    soft, hard = (impact(v, contact=ContactParams(inside="even")) for v in (10.0, 25.0))
+    assert math.isnan(hard.parting_speed_mps) and hard.depth_m >= 0.8
+    assert soft == impact(10.0)
+    assert 0.0 < impact(25.0).depth_m < 0.2
 
 
 def test_slow_impacts_are_soft_and_no_speed_is_refused():

@@ -269,7 +269,7 @@ def test_reenacted_counts_are_those_of_single_runs(many):
     counts = reenact.reenact(reports, ways, jobs=2, progress=lambda *x: seen.append(x))
     assert seen == [(k, 12) for k in range(1, 13)]
     for settings, label in (({}, "now"), (late.settings, "late")):
-        base = load_scenario("base_train").with_overrides(settings)
+        base = reenact.real_base_train(settings)
         alone = [run_model("planar", reenact.train_of(base, r)).record["cars_derailed"]
                  for r in reports]  # fmt: skip
         assert counts[label] == alone
@@ -290,7 +290,8 @@ def test_a_report_as_a_scenario(many, tmp_path, capsys):
     scenario = load_scenario(str(path))
     assert scenario.title == "BNSF 3, 2010: 60 cars at 19 km/h"
     (report,) = (r for r in a.read_reports([many]) if r.number == "3")
-    late = load_scenario("base_train").with_overrides({"brakes.delay_s": 10.0})
+    late = reenact.real_base_train({"brakes.delay_s": 10.0})
+    assert late.to_params().contact.inside == "held"
     assert scenario.to_params() == reenact.train_of(late, report)
     assert "cause T204: 60 freight cars, 60 of them loaded, car 3 the first" in path.read_text(
         encoding="utf-8"
@@ -312,7 +313,9 @@ def test_mean_trains_beside_what_was_reported(delay):
     counts = reenact.reenact([reenact.mean_report(one) for one in classes], ways)["planar"]
     ratios = [n / one.mean for n, one in zip(counts, classes, strict=True)]
     if delay:
-        assert all(0.85 < ratio < 1.15 for ratio in ratios)
+        # a car of the eleven in the slowest class is 8 %
+        assert all(0.8 < ratio < 1.2 for ratio in ratios)
+        assert abs(np.mean(ratios) - 1.0) < 0.1
     else:
         assert all(ratio < 0.95 for ratio in ratios)
 
@@ -381,7 +384,7 @@ def test_models_by_the_command(many, capsys):
     assert told["group"] == "broken rail"
     assert [c["trains"] for c in told["classes"]] == [3, 1]
     reports = [r for r in a.read_reports([many]) if r in a.Group(a.BROKEN_RAIL) and r.mass_kg]
-    base = load_scenario("base_train").with_overrides({"brakes.delay_s": 10.0})
+    base = reenact.real_base_train({"brakes.delay_s": 10.0})
     last = run_model("planar", reenact.train_of(base, reports[-1])).record["cars_derailed"]
     assert told["classes"][1]["models"]["planar"]["mean"] == last
     assert main(["accidents", str(many), "-m", "planar", "--most", "1"]) == 0

@@ -71,7 +71,8 @@ def test_defaults_in_words_are_those_of_the_engine():
     assert (begin, end) == (params.contact.begin_force, params.contact.end_force)
     assert said["method"] == params.integration.method
     test = load_scenario("mississauga_published_brake_instant_traction").to_params()
-    assert float(said["mu_t"]) == test.brakes.traction_coefficient
+    assert float(said["traction"]) == test.brakes.triggers[0].delay
+    assert said["inside"] == params.contact.inside == test.contact.inside
     assert {f.force for f in params.initiation.lateral_forces} == {50e3}
 
 
@@ -179,7 +180,7 @@ def made_up_study(progress=None):
     return sensitivity(
         4,
         cases=["base_60", "instant_traction"],
-        constants=["F0", "F_max", "gap_law", "mu_t", "mirror"],
+        constants=["F0", "F_max", "gap_law", "traction", "mirror"],
         progress=progress,
         run=runner(respond),
     )
@@ -197,22 +198,23 @@ def test_study(study):
     effects = {(e.constant.name, e.change.value): e for e in study.effects}
     assert effects["F0", "35"].overall["cars_derailed"].mean == 1.0
     assert effects["F0", "50"].overall["cars_derailed"].mean == 0.0
-    ratio = 3.0e6 / BASE.to_params().contact.force_max
-    assert effects["F_max", "3"].overall["peak_force_N"].shown_in(FORCE)[0] == pytest.approx(
+    ratio = 2.4e6 / BASE.to_params().contact.force_max
+    assert effects["F_max", "2.4"].overall["peak_force_N"].shown_in(FORCE)[0] == pytest.approx(
         100.0 * (ratio - 1.0)
     )
     assert effects["F0", "20"].ensemble.void == 2
     assert effects["gap_law", "Lorentzian"].ensemble.failed == 2
     assert study.failed == 2
-    assert list(effects["mu_t", "0.3"].cases) == ["instant_traction"]
-    assert study.runs == 4 * (2 + 2 * (4 + 4 + 1 + 1) + 3)
+    assert list(effects["traction", "5"].cases) == ["instant_traction"]
+    # the default, then F0, F_max, gap_law and mirror on both cases, traction on one
+    assert study.runs == 4 * (2 + 2 * (4 + 3 + 3 + 1) + 4)
     # the mirror image changes nothing here
     assert study.floor == dict.fromkeys((c.key for c in COMPARED), 0.0)
     assert effects["F0", "35"].reached[0].value != study.default[0].value
 
 
 def test_a_constant_without_a_case_is_left_out():
-    study = sensitivity(2, cases=["base_60"], constants=["mu_t", "F0"], run=runner(respond))
+    study = sensitivity(2, cases=["base_60"], constants=["traction", "F0"], run=runner(respond))
     assert {e.constant.name for e in study.effects} == {"F0"}
 
 

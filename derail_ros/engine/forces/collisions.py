@@ -90,6 +90,14 @@ def clear(pair: Rows, p: int) -> None:
 
 
 @inner_jit
+def _bell(par: Rows, gap: float) -> float:
+    """The gap law of the run, N."""
+    return gap_force(
+        gap, par.force_max, par.half_distance, par.buffer, int(par.gap_law), int(par.even_inside)
+    )
+
+
+@inner_jit
 def speed_along(v: F64, q: F64, i: int, px: float, py: float, nx: float, ny: float) -> float:
     """Speed of the point of car ``i`` at (px, py) along (nx, ny), m/s."""
     return nx * (v[i, 0] - v[i, 2] * (py - q[i, 1])) + ny * (v[i, 1] + v[i, 2] * (px - q[i, 0]))
@@ -206,9 +214,7 @@ def _corner_contacts(
         fpx = px - gap * nx
         fpy = py - gap * ny
         closing = speed_along(v, q, j, fpx, fpy, nx, ny) - speed_along(v, q, i, px, py, nx, ny)
-        f = gap_force(gap, par.force_max, par.half_distance, d_b, int(par.gap_law)) * speed_factor(
-            closing, par.c1, par.c2, par.c3
-        )
+        f = _bell(par, gap) * speed_factor(closing, par.c1, par.c2, par.c3)
         if f <= 0.0:
             continue
         fx = f * nx
@@ -382,10 +388,7 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
                     if gap > 0.0:
                         if gap >= reach:
                             continue
-                        force = gap_force(
-                            gap, par.force_max, par.half_distance, reach, int(par.gap_law)
-                        )
-                        if force < least:
+                        if _bell(par, gap) < least:
                             continue
                         # a corner that meets the other's corner goes on to meet its wall
                         ex = on * end if axis == 0 else math.copysign(wall, n)
@@ -403,6 +406,9 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
                         mask = state.mask[p, 4 * side + corner]
                         came = nearest_wall(x0, y0, a_j, b_j, mask)
                         if (came == FRONT or came == REAR) == (axis == 0):
+                            continue
+                        depth = n - wall if came == FRONT or came == LEFT else -n - wall
+                        if _bell(par, depth) < least:
                             continue
                     if g0 <= 0.0:
                         share = min(share, _passing(g0, on * h * dz0, g1, on * h * dz1))

@@ -1,13 +1,20 @@
 """Collisions between rectangles.
 
-Source: thesis, collision chapter; the gap law's two parameters and the treatment of penetration
-are reconstructed [R].
+Source: thesis, collision chapter, which prints ``F_max``, ``d_c``, ``d_b`` and ``c1`` to ``c3``.
+The form of the gap law and the treatment of penetration are reconstructed [R].
 
-Gap law, x the distance (negative inside), bell of two parameters:
+Gap law, x the distance (negative inside), a bell with its peak at contact:
 
-    F_d(x) = F_max 2^-(x / d_c)^2    0 <= x < d_b,    F_max for x < 0,    0 from d_b on
+    F_d(x) = F_max B(x / d_c),    B(0) = 1,    B(1) = 1/2,    F_d = 0 for x >= d_b
 
-(``lorentzian``: ``F_max / (1 + (x / d_c)^2)``). Speed factor, v the normal closing speed:
+    gaussian      B(r) = 2^-r^2
+    lorentzian    B(r) = 1 / (1 + r^2)
+    sech2         B(r) = 1 / cosh(r arcosh(sqrt 2))^2
+    quartic       B(r) = 1 / (1 + r^4)
+
+Inside, the ``even`` law is the same bell: F_d(-x) = F_d(x). A body that is past the middle of the
+bell is pushed out ever less, and a very hard blow passes through. The ``held`` law keeps F_max
+for x < 0. Speed factor, v the normal closing speed:
 
     F_c = F_d max(0, c1 v|v| + c2 v + c3)
 
@@ -31,17 +38,32 @@ ON_LINE = 1e-9
 """A point this close to the line of a wall lies on it, m."""
 
 
+GAP_LAWS = {"gaussian": 0, "lorentzian": 1, "sech2": 2, "quartic": 3}
+"""Shapes of the gap law and their numbers in the kernels."""
+
+INSIDE = {"held": 0, "even": 1}
+"""The gap law inside a body."""
+
+LN_2 = 0.6931471805599453
+ARCOSH_SQRT_2 = 0.881373587019543
+
+
 @jit
-def gap_force(x: float, f_max: float, d_c: float, d_b: float, law: int) -> float:
-    """``F_d(x)``, N, for a gap ``x`` (m)."""
-    if x >= d_b:
-        return 0.0
-    if x <= 0.0:
+def gap_force(x: float, f_max: float, d_c: float, d_b: float, law: int, even: int) -> float:
+    """``F_d(x)``, N, for a gap ``x`` (m); ``law`` and ``even`` as in GAP_LAWS and INSIDE."""
+    if x <= 0.0 and even == 0:
         return f_max
+    if abs(x) >= d_b:
+        return 0.0
     r = x / d_c
     if law == 1:
         return f_max / (1.0 + r * r)
-    return f_max * math.exp(-0.6931471805599453 * r * r)
+    if law == 2:
+        c = math.cosh(ARCOSH_SQRT_2 * r)
+        return f_max / (c * c)
+    if law == 3:
+        return f_max / (1.0 + r * r * r * r)
+    return f_max * math.exp(-LN_2 * r * r)
 
 
 @jit
