@@ -41,7 +41,7 @@ def write(options: Options) -> None:
             jobs = ensemble_jobs(params, n, seed=options.seed)
             (found,) = ensembles(jobs, jobs=options.jobs, progress=progress).values()
         ahead = next(i for i, car in enumerate(params.cars) if not car.locomotives)
-        rows.append((f"`{name}`", REPORTED[name], *_computed(found, ahead), n))
+        rows.append((f"`{name}`", REPORTED[name], *_computed(found, ahead), str(n)))
     about = (
         f"<sub>`python -m research trains`: runs with the force that starts the motion changed by "
         f"at most 4 %, seed {options.seed}. Cars are counted behind the leading locomotives; a "

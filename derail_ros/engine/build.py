@@ -423,7 +423,9 @@ def initial_positions(params: TrainParams, track: Track) -> F64:
                 pose = _pose_on_track(track, middle, car.truck_distance)
                 fx = pose[0] + car.pivot_distance * math.cos(pose[2])
                 fy = pose[1] + car.pivot_distance * math.sin(pose[2])
-                if math.hypot(px - fx, py - fy) < reach:
+                # short links: the front pivot may still lie ahead of the rear one by their length
+                along = (px - fx) * math.cos(pose[2]) + (py - fy) * math.sin(pose[2])
+                if along < 0.0 or math.hypot(px - fx, py - fy) < reach:
                     near = middle
                 else:
                     far = middle
