@@ -113,6 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # A supervisor's SIGTERM ends a command as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGINT, _interrupt)
     try:
         code = app(args=arguments or ["--help"], prog_name="derail", standalone_mode=False)
     except KeyboardInterrupt:

@@ -73,9 +73,13 @@ class LiveMessages:
         if settings.navsat and self._datum is None:
             log.warning(f"no navsat: the scenario {prepared.name} has no site.datum")
         # Rate, number of measurements so far, sensor.
-        self._sensors = [[rate, 0, sensor] for rate, sensor in self._make_sensors()]
-        for _, _, sensor in self._sensors:
-            output.offer(sensor.topic, sensor.msgtype)
+        self._sensors: list[list[Any]] = []
+        for rate, sensor in self._make_sensors():
+            try:
+                output.offer(sensor.topic, sensor.msgtype)
+                self._sensors.append([rate, 0, sensor])
+            except ImportError as error:
+                log.warning(f"no {sensor.topic}: {error}")
         self.due = 0.0 if self._sensors else math.inf
 
     def _make_sensors(self) -> Iterator[tuple[float, Sensor]]:
