@@ -60,6 +60,7 @@ class LiveMessages:
         context: RunContext,
     ) -> None:
         self._settings, self._simulation, self._context = settings, simulation, context
+        self._output = output
         self._ticks: dict[str, Callable[[Sample], bytes]] = {}
         params, prefix = simulation.params, settings.prefix
         if settings.publish_tf:
@@ -115,8 +116,9 @@ class LiveMessages:
         return messages
 
     def tick(self, sample: Sample) -> Messages:
-        """Frames and joints."""
-        return [(topic, encode(sample)) for topic, encode in self._ticks.items()]
+        """Frames and joints that somebody listens to."""
+        wanted = self._output.wanted
+        return [(topic, encode(sample)) for topic, encode in self._ticks.items() if wanted(topic)]
 
     def measure(self, sample: Sample) -> Messages:
         """The measurements that are due at the sample's time."""

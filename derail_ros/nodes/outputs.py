@@ -41,6 +41,9 @@ class Output(Protocol):
     def subscribers(self, name: str) -> int:
         """Number of matched subscribers of a topic; 0 if it is not open."""
 
+    def wanted(self, name: str) -> bool:
+        """Whether anybody listens to a topic."""
+
     def offer(self, name: str, msgtype: str) -> None:
         """Publish a topic that is not in the table, unless it is published already."""
 
@@ -105,6 +108,10 @@ class Outputs:
     def open(self, name: str, make: Callable[[], Any], latched: bool = False) -> None:
         """Publish a topic; ``make`` makes its publisher."""
         self._channels[name] = _Channel(make, latched, make())
+
+    def wanted(self, name: str) -> bool:
+        """Whether anybody listens to a topic."""
+        return self.subscribers(name) > 0
 
     def offer(self, name: str, msgtype: str) -> None:
         """Publish a topic that is not in the table, unless it is published already."""

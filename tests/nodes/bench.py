@@ -66,6 +66,7 @@ class Heard:
     def __init__(self) -> None:
         self.raw: list[tuple[str, bytes]] = []
         self.runs = 0
+        self.unheard: set[str] = set()
         self.offered: dict[str, str] = {}
         self.listening: dict[str, int] = {}
         self.logs: list[tuple[str, str]] = []
@@ -78,6 +79,9 @@ class Heard:
 
     def offer(self, name: str, msgtype: str) -> None:
         self.offered[name] = msgtype
+
+    def wanted(self, name: str) -> bool:
+        return name not in self.unheard
 
     def subscribers(self, name: str) -> int:
         return self.listening.get(name, 0)

@@ -279,6 +279,17 @@ def test_markers_come_at_their_rate_and_seldom_while_nothing_moves(bench: Bench)
     assert len(bench.heard.of("markers")) == pytest.approx(5, abs=1)
 
 
+def test_frames_that_nobody_listens_to_are_not_made(bench: Bench) -> None:
+    bench.heard.unheard.add("/tf")
+    bench.load(ENDLESS)
+    bench.go(0.2)
+    names = [name for name, _ in bench.heard.raw]
+    assert "/tf" not in names and names.count("joint_states") == bench.ticks() > 5
+    bench.heard.unheard.clear()
+    bench.go(0.2)
+    assert "/tf" in [name for name, _ in bench.heard.raw[len(names) :]]
+
+
 def test_frames_come_unless_they_are_not_wanted(bench: Bench) -> None:
     bench.load(ENDLESS)
     bench.go(0.2)
