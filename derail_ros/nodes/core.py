@@ -16,7 +16,7 @@ from typing import Any
 
 from derail_ros.nodes import commands, loading
 from derail_ros.nodes.commands import Answer, CommandLog, Refusal, Request
-from derail_ros.nodes.live import live
+from derail_ros.nodes.live import describe, live
 from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.own_recording import OwnRecording
 from derail_ros.nodes.pace import Pace
@@ -194,9 +194,11 @@ class SimulatorCore:
     def prepare(self, name: str, text: str, speed_kmh: float = math.nan) -> Prepared:
         """Make a scenario ready, from any thread; see :func:`loading.prepare`."""
         settings = self.settings
-        return loading.prepare(
+        prepared = loading.prepare(
             name, text, speed_kmh, dirs=settings.scenario_dirs, frame_id=settings.frame_id
         )
+        describe(prepared, settings)
+        return prepared
 
     def load(
         self,

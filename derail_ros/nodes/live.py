@@ -60,7 +60,7 @@ class LiveMessages:
         context: RunContext,
     ) -> None:
         self._settings, self._simulation, self._context = settings, simulation, context
-        self._output = output
+        self._output, self._prepared = output, prepared
         self._ticks: dict[str, Callable[[Sample], bytes]] = {}
         params, prefix = simulation.params, settings.prefix
         if settings.publish_tf:
@@ -109,8 +109,7 @@ class LiveMessages:
     def begin(self) -> Messages:
         """What is latched: the description of the train, and the frames that do not move."""
         params, prefix = self._simulation.params, self._settings.prefix
-        text = robot_description(params, self._context.frame_id, prefix)
-        messages = [("robot_description", serialize(string(text)))]
+        messages = [("robot_description", describe(self._prepared, self._settings))]
         if self._settings.publish_tf:
             messages.append(("/tf_static", static_transforms(params, self._context, prefix)))
         return messages
@@ -135,6 +134,15 @@ class LiveMessages:
                 messages.append((sensor.topic, sensor(sample)))
         self.due = min(count / rate for rate, count, _ in self._sensors)
         return messages
+
+
+def describe(prepared: Prepared, settings: Settings) -> bytes:
+    """The message ``robot_description``; of a long train it takes a while, and is kept."""
+    kept = prepared.kept
+    if "robot_description" not in kept:
+        text = robot_description(prepared.simulation.params, settings.frame_id, settings.prefix)
+        kept["robot_description"] = serialize(string(text))
+    return bytes(kept["robot_description"])
 
 
 def _datum(data: Any) -> Datum | None:

@@ -56,6 +56,7 @@ class Prepared:
     warnings : what of it is hardly meant
     car_types : type of rolling stock of each car, "" where it was given by its numbers
     marker_pieces : serialised markers, kept from run to run
+    kept : what else takes long and is the same in each run
     """
 
     def __init__(self, scenario: Scenario, simulation: Simulation) -> None:
@@ -68,6 +69,7 @@ class Prepared:
         self.warnings = scenario.warnings
         self.car_types = scenario.car_types[: simulation.n_cars]
         self.marker_pieces: dict[Any, Any] = {}
+        self.kept: dict[str, Any] = {}
 
     def warm(self, frame_id: str) -> None:
         """Lay out the markers, which takes a while for a long train."""
