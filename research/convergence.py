@@ -17,6 +17,7 @@ from derail_ros.review.drawing import (
     INK,
     VERMILION,
     dress,
+    grid_of,
     heading,
     legend,
     sheet,
@@ -36,7 +37,7 @@ from derail_ros.studies.convergence import (
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.tables import Strong, Table
 from derail_ros.vocabulary.measures import MEASURES
-from research.pages import Options, document, grid_of, picture, written_by
+from research.pages import Options, document, picture, written_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands.common import CommandFailure, note
-from derail_ros.review.drawing import place, save
+from derail_ros.review.drawing import save
 from derail_ros.studies.tables import Table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,23 +72,6 @@ def document(*parts: str | Table) -> str:
 def picture(name: str, words: str) -> str:
     """A figure of the page."""
     return f"![{words}](images/{name})"
-
-
-def grid_of(figure: Figure, n: int, columns: int, margins: Sequence[float]) -> list[Axes]:
-    """``n`` axes in rows of ``columns``.
-
-    ``margins``: left, right, top, bottom, gap between columns, gap between rows, inches.
-    """
-    left, right, top, bottom, gap_x, gap_y = margins
-    width, height = figure.get_size_inches()
-    rows = -(-n // columns)
-    wide = (width - left - right - (columns - 1) * gap_x) / columns
-    tall = (height - top - bottom - (rows - 1) * gap_y) / rows
-    return [
-        place(figure, left + k % columns * (wide + gap_x), top + k // columns * (tall + gap_y),
-              wide, tall)
-        for k in range(n)
-    ]  # fmt: skip
 
 
 def written_by(name: str) -> str:

@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from derail_ros.commands.model_studies import spreads_of
-from derail_ros.review.drawing import BLUE, VERMILION, dress, heading, sheet, styled
+from derail_ros.review.drawing import BLUE, VERMILION, dress, grid_of, heading, sheet, styled
 from derail_ros.studies.ensemble import VARIATION
 from derail_ros.studies.records import Distribution
 from derail_ros.studies.spread import Spread, sentence, spread_table
 from derail_ros.studies.tables import Table
-from research.pages import BAND, Options, document, grid_of, picture, written_by
+from research.pages import BAND, Options, document, picture, written_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

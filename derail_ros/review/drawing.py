@@ -106,6 +106,23 @@ def place(figure: Figure, left: float, top: float, wide: float, tall: float) -> 
     )
 
 
+def grid_of(figure: Figure, n: int, columns: int, margins: Sequence[float]) -> list[Axes]:
+    """``n`` axes in rows of ``columns``.
+
+    ``margins``: left, right, top, bottom, gap between columns, gap between rows, inches.
+    """
+    left, right, top, bottom, gap_x, gap_y = margins
+    width, height = figure.get_size_inches()
+    rows = -(-n // columns)
+    wide = (width - left - right - (columns - 1) * gap_x) / columns
+    tall = (height - top - bottom - (rows - 1) * gap_y) / rows
+    return [
+        place(figure, left + k % columns * (wide + gap_x), top + k // columns * (tall + gap_y),
+              wide, tall)
+        for k in range(n)
+    ]  # fmt: skip
+
+
 def inches(figure: Figure) -> Axes:
     """Axes over the whole figure whose units are inches from its lower left corner."""
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

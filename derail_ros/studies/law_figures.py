@@ -13,8 +13,18 @@ from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE, gap_force, speed_fa
 from derail_ros.engine.laws.ground import resistance
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, knuckle_moment, polynomial_root
 from derail_ros.engine.laws.striker import spring_force
-from derail_ros.review.drawing import BLUE, FAINT, INK, dress, heading, label, sheet, styled
-from derail_ros.studies.drawing import SERIES, grid_of
+from derail_ros.review.drawing import (
+    BLUE,
+    FAINT,
+    INK,
+    dress,
+    grid_of,
+    heading,
+    label,
+    sheet,
+    styled,
+)
+from derail_ros.studies.drawing import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

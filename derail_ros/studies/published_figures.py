@@ -15,6 +15,7 @@ from derail_ros.review.drawing import (
     INK,
     VERMILION,
     dress,
+    grid_of,
     heading,
     mark,
     place,
@@ -24,7 +25,6 @@ from derail_ros.review.drawing import (
 )
 from derail_ros.review.scene import Scene, scene_from_simulation
 from derail_ros.scenario import load_scenario
-from derail_ros.studies.drawing import PALE, grid_of
 from derail_ros.studies.ensemble import Job, advance, ensemble_jobs, gather
 from derail_ros.studies.published import PublishedCase, load_published
 from derail_ros.studies.records import Ensemble, ensembles
@@ -32,6 +32,8 @@ from derail_ros.vocabulary.measures import MEASURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+PALE = "#cfe3f1"
 
 MEASURES_SHOWN = ("cars_derailed", "duration_s", "peak_force_N", "scene_area_m2")
 
