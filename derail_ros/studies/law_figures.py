@@ -94,7 +94,7 @@ def _brakes(axes: Axes, params: TrainParams) -> None:
 def _strikers(axes: Axes, couplers: Mapping[str, CouplerType]) -> None:
     x = np.linspace(0.0, 0.45, 901)
     for k, (name, c) in enumerate(couplers.items()):
-        force = _over(spring_force, x, c.striker_opening, c.k1, c.k2) / 1e6
+        force = _over(spring_force, x, 0.0, c.striker_opening, c.k1, c.k2) / 1e6
         axes.plot(x, force, label=name, **_look(k))
     axes.set_xlim(0.0, 0.45)
     axes.set_ylim(0.0, 3.5)
