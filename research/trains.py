@@ -43,9 +43,10 @@ def write(options: Options) -> None:
         ahead = next(i for i, car in enumerate(params.cars) if not car.locomotives)
         rows.append((f"`{name}`", REPORTED[name], *_computed(found, ahead), str(n)))
     about = (
-        f"<sub>`python -m research trains`: runs with the force that starts the motion changed by "
-        f"at most 4 %, seed {options.seed}. Cars are counted behind the leading locomotives; a "
-        f"platform of an articulated car is a car. Engine {engine_hash()[:16]}.</sub>"
+        "<sub>`python -m research trains`: runs with the force that starts the motion changed by "
+        f"at most 4 %, seed {options.seed}. Cars are counted behind the leading locomotives, "
+        "those within the train among them; a platform of an articulated car is a car. "
+        f"Engine {engine_hash()[:16]}.</sub>"
     )
     heads = ("train", "reported", "computed, mean and range", "in the first run", "runs")
     table = Table(heads, rows, texts=4)
