@@ -176,7 +176,7 @@ def _values(constant: Constant, effects: Sequence[Effect]) -> str:
         [e.change.value for e in effects if e.change.side == side] for side in (-1, 1, 0)
     )
     middle = f"[{constant.default}]"
-    return f"{middle}  {' | '.join(other)}" if other else "  ".join([*lower, middle, *upper])
+    return "  ".join([*lower, middle, *upper, *([" | ".join(other)] if other else [])])
 
 
 @styled

@@ -29,7 +29,8 @@ def test_figure(study):
     assert len(figure.axes) == len(COMPARED)
     texts = " ".join(x.get_text() for x in figure.texts)
     assert "20  35  50  [64]  70" in texts
-    assert "[Gaussian]  sech²  quartic  Lorentzian" in texts
+    assert "[Gaussian]  sech² | quartic | Lorentzian" in texts
+    assert "0  2  [3.5]  5  0, mu_t 0.16" in texts
     assert "linear up to the first number on either side of zero and logarithmic beyond" in texts
 
 
