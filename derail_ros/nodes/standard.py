@@ -84,15 +84,16 @@ class StandardInterface:
             "GetEntityBounds", "UnloadWorld", "GetCurrentWorld", "GetAvailableWorlds", *REFUSED,
         ):  # fmt: skip
             service = snake(name)
-            if not (legacy and service in COLLIDING):
+            # Releases before 2.1 have no SpawnEntities, older ones no worlds.
+            if hasattr(srv, name) and not (legacy and service in COLLIDING):
                 handler = self._refuser(name) if name in REFUSED else getattr(self, f"_{service}")
                 kind = getattr(srv, name)
                 node.create_service(kind, f"~/{service}", handler, qos_profile=service_qos())
-        self._deferred = [DeferredService(node, srv.LoadWorld, "~/load_world", self._load_world)]
-        if not legacy:
-            self._deferred.append(
-                DeferredService(node, srv.StepSimulation, "~/step_simulation", self._step)
-            )
+        self._deferred = [
+            DeferredService(node, getattr(srv, name), f"~/{snake(name)}", handler)
+            for name, handler in (("LoadWorld", self._load_world), ("StepSimulation", self._step))
+            if hasattr(srv, name) and not (legacy and snake(name) in COLLIDING)
+        ]
         self._action = _StepAction(node, action.SimulateSteps, core, self._result)
 
     def _result(self, code: int, why: str) -> Any:
@@ -117,7 +118,8 @@ class StandardInterface:
         import derail_ros
 
         names = [name for name in FEATURES if not (self._legacy and name in COLLIDING_FEATURES)]
-        numbers = [getattr(self._msg.SimulatorFeatures, name) for name in names]
+        known = self._msg.SimulatorFeatures
+        numbers = [getattr(known, name) for name in names if hasattr(known, name)]
         response.features.features = numbers
         response.features.custom_info = (
             f"derail_ros {derail_ros.__version__}: train derailments; cars are the entities, "

@@ -75,18 +75,20 @@ def loaded(made: Graph) -> Graph:
     return made
 
 
+def types_of(made: Graph, service: str) -> list[str]:
+    """Types of a service, once the graph knows it."""
+    path = f"/simulator/{service}"
+    found = made.until(
+        lambda: dict(made.node.get_service_names_and_types()).get(path), f"{path} is there"
+    )
+    return list(found)
+
+
 def test_every_service_of_the_standard_is_there(made: Graph) -> None:
-    there = dict(made.node.get_service_names_and_types_by_node("simulator", "/"))
     for name in KINDS:
-        path = f"/simulator/{snake(name)}"
-        made.until(
-            lambda p=path: p in dict(made.node.get_service_names_and_types()), f"{path} is there"
-        )
-    there = dict(made.node.get_service_names_and_types())
-    for name in KINDS:
-        assert there[f"/simulator/{snake(name)}"] == [f"simulation_interfaces/srv/{name}"]
+        assert types_of(made, snake(name)) == [f"simulation_interfaces/srv/{name}"]
     for name in ("set_simulation_state", "step_simulation", "reset_simulation"):
-        (kind,) = there[f"/simulator/derail/{name}"]
+        (kind,) = types_of(made, f"derail/{name}")
         assert kind.startswith("derail_msgs/srv/")
 
 
@@ -291,9 +293,8 @@ def test_the_action_of_a_run_that_plays_fails(loaded: Graph) -> None:
 def test_old_names_are_there_if_they_are_wanted(tmp_path: Path) -> None:
     with graph(tmp_path) as other:
         other.simulator(scenario="", legacy_service_names=True)
-        there = dict(other.node.get_service_names_and_types())
         for name in ("set_simulation_state", "step_simulation", "reset_simulation"):
-            (kind,) = there[f"/simulator/{name}"]
+            (kind,) = types_of(other, name)
             assert kind.startswith("derail_msgs/srv/")
         client = other.node.create_client(
             srv.GetSimulatorFeatures, "/simulator/get_simulator_features"
