@@ -36,6 +36,11 @@ class Model(NamedTuple):
     remote: F64  # places that a radio orders to vent, m behind car 1
     lateral: Rows  # (F,) PUSH
     track: Rows  # (pieces,) TRACK
+    link: Rows  # (N-1,) LINK
+    along: Rows  # (N,) ALONG
+    effort: Rows  # (points,) EFFORT
+    setting: Rows  # (points,) SETTING
+    grade: Rows  # (pieces,) GRADE
     table: F64  # of the integration method
 
 
@@ -72,6 +77,9 @@ class State(NamedTuple):
     pair: Rows  # (P,) PAIR
     contact: Rows  # (K,) CONTACT
     peak: Rows  # (N,) PEAK
+    coupling: Rows  # (N-1,) COUPLING
+    over_since: F64  # (N, 2) when a truck passed its lateral limit, nan below it
+    loose: U8  # (N, 2) derailed trucks that no rail guides any more
 
 
 class Work(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.engine import layout
-from derail_ros.engine.arrays import Model, State
+from derail_ros.engine.arrays import Model, Rows, State
 from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
@@ -16,7 +16,14 @@ from derail_ros.engine.methods import METHODS
 from derail_ros.engine.negotiability import free_swing
 from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ParameterError
-from derail_ros.vocabulary.params import BRAKE_SYSTEMS, GRAVITY, Car, CouplerType, TrainParams
+from derail_ros.vocabulary.params import (
+    BRAKE_SYSTEMS,
+    GRAVITY,
+    Car,
+    CouplerType,
+    TractionParams,
+    TrainParams,
+)
 from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES, ENDS
 
 F64 = NDArray[np.float64]
@@ -27,6 +34,10 @@ ARRIVALS = dict(
     zip(BRAKE_MODES, (layout.ARR_CONV, layout.ARR_INST, layout.ARR_TL, layout.ARR_INST_TL))
 )
 MAX_CARS = 5000
+ARTICULATED = "ARTICULATED"
+"""Coupler type of the joints within an articulated car."""
+PARTS = ("knuckle", "body")
+"""Parts of a coupling that break, by their numbers in LINK."""
 
 
 def require(condition: bool, field: str, reason: str) -> None:
@@ -75,6 +86,7 @@ def _check_car(c: Car, where: str) -> None:
         "coupler_inertia",
     ):
         positive(getattr(c, name), f"{where}.{name}")
+    finite(c.coupled_length, f"{where}.coupled_length", 0.0)
     _check_coupler(c.front, f"{where}.front")
     _check_coupler(c.rear, f"{where}.rear")
     half = 0.5 * c.length
@@ -151,6 +163,9 @@ def validate(params: TrainParams) -> None:
         finite(trigger.time, f"brakes.triggers.{j}.time", 0.0)
     d = params.derailment
     positive(d.lv_limit, "derailment.lv_limit")
+    for name in ("lv_hold", "guide_strength", "guide_play"):
+        finite(getattr(d, name), f"derailment.{name}", 0.0)
+    positive(d.guide_stiffness, "derailment.guide_stiffness")
     finite(d.break_ahead_of_truck, "derailment.break_ahead_of_truck", 0.0)
     for pair in POLYNOMIALS:
         name = f"knuckle_limit_{pair.lower()}"
@@ -179,6 +194,7 @@ def validate(params: TrainParams) -> None:
     finite(n.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
     require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
     finite(params.variant.moment_widening, "variant.moment_widening", 0.0)
+    _check_along(params)
     start = params.initiation
     finite(start.speed, "initiation.speed", 0.0, 200.0)
     finite(start.position, "initiation.position")
@@ -215,6 +231,58 @@ def validate(params: TrainParams) -> None:
             finite(getattr(segment, name), f"track.segments.{j}.{name}", -0.1, 0.1)
     for j, s in enumerate(track.rail_breaks):
         finite(s, f"track.rail_breaks.{j}")
+
+
+def _check_along(params: TrainParams) -> None:
+    """What acts along the track and along the couplings."""
+    n = len(params.cars)
+    t = params.traction
+    for name in ("response_time", "cut_time"):
+        positive(getattr(t, name), f"traction.{name}")
+    for j, notch in enumerate(t.notches):
+        at = f"traction.notches.{j}"
+        finite(notch.time, f"{at}.time", t.notches[j - 1].time if j else 0.0)
+        finite(notch.notch, f"{at}.notch", -8.0, 8.0)
+        for number in notch.cars:
+            require(1 <= number <= n, f"{at}.cars", f"there is no car {number}")
+            car = params.cars[number - 1]
+            pulls = bool(car.tractive_effort or car.dynamic_brake)
+            require(pulls, f"{at}.cars", f"car {number} is no locomotive with an effort")
+    for i, car in enumerate(params.cars):
+        for name in ("tractive_effort", "dynamic_brake"):
+            curve = getattr(car, name)
+            for k, (speed, force) in enumerate(curve):
+                at = f"cars.{i}.{name}.{k}"
+                finite(force, at, 0.0)
+                finite(speed, at, 0.0)
+                require(k == 0 or speed > curve[k - 1][0], at, "speeds must rise")
+        for k, value in enumerate(car.resistance):
+            finite(value, f"cars.{i}.resistance.{k}", 0.0)
+    finite(params.track.curve_resistance, "track.curve_resistance", 0.0)
+    end = -math.inf
+    for j, change in enumerate(params.track.grades):
+        at = f"track.grades.{j}"
+        finite(change.grade, f"{at}.grade", -0.5, 0.5)
+        finite(change.length, f"{at}.length", 0.0)
+        if j or not math.isinf(change.at):
+            finite(change.at, f"{at}.at")
+            begin = change.at - 0.5 * change.length
+            require(begin >= end, f"{at}.length", "the vertical curve overlaps the one before")
+            end = change.at + 0.5 * change.length
+    gear = params.couplings.gear
+    for name in ("stiffness", "transition"):
+        positive(getattr(gear, name), f"couplings.gear.{name}")
+    for name in ("slack", "preload", "travel", "solid"):
+        finite(getattr(gear, name), f"couplings.gear.{name}", 0.0)
+    finite(gear.unloading, "couplings.gear.unloading", 0.0, 1.0)
+    finite(gear.start, "couplings.gear.start", -1.0, 1.0)
+    for name in ("knuckle_strength", "body_strength"):
+        finite(getattr(params.couplings, name), f"couplings.{name}", 0.0)
+    for j, weak in enumerate(params.couplings.weak):
+        at = f"couplings.weak.{j}"
+        require(1 <= weak.coupling < n, f"{at}.coupling", f"there is no coupling {weak.coupling}")
+        require(weak.part in PARTS, f"{at}.part", f"must be one of {', '.join(PARTS)}")
+        positive(weak.strength, f"{at}.strength")
 
 
 def check_trigger(mode: str, source: str, car: int, delay: float, n: int, where: str) -> None:
@@ -284,7 +352,26 @@ def build_model(params: TrainParams, track: Track) -> Model:
         "joint_held": own.held_moment,
         "whole_car": own.whole_car,
         "collide": own.collisions,
+        "along": False,
+        "profile": len(track.grades) > 0,
+        "datum": 0.0,
+        "curve_resistance": p.track.curve_resistance,
+        "cut": p.traction.cut_time,
+        "keep_dynamic": p.traction.keep_dynamic,
+        "gear": p.couplings.gear.on,
+        "strength": False,
+        "lv_hold": p.derailment.lv_hold,
+        "guide_strength": p.derailment.guide_strength,
+        "guide_stiffness": p.derailment.guide_stiffness,
+        "guide_play": p.derailment.guide_play,
     }
+    link = _links(p)
+    along, effort, setting = _along(p)
+    values["strength"] = bool(np.isfinite(link["strength"]).any())
+    resists = any(along[name].any() for name in ("r0", "r1", "r2"))
+    values["along"] = bool(
+        values["profile"] or p.track.curve_resistance or len(setting) or resists
+    )
     par = np.array([tuple(values[name] for name in layout.PAR.names or ())], layout.PAR)
     traction = p.brakes.traction_coefficient * GRAVITY
 
@@ -368,7 +455,82 @@ def build_model(params: TrainParams, track: Track) -> Model:
         lateral=lateral,
         track=track.pieces,
         table=np.array(METHODS[p.integration.method]),
+        link=link,
+        along=along,
+        effort=effort,
+        setting=setting,
+        grade=track.grades,
     )
+
+
+def _links(p: TrainParams) -> Rows:
+    """Draft gear and strength of the couplings: (N-1,) LINK."""
+    c, g = p.couplings, p.couplings.gear
+    row = (g.slack, g.preload, g.stiffness, g.unloading, g.transition, g.travel, g.solid)
+    knuckle, body = c.knuckle_strength or math.inf, c.body_strength or math.inf
+    strength = min(knuckle, body)
+    part = float(body < knuckle)
+    link = np.array([(*row, strength, part)] * max(len(p.cars) - 1, 0), layout.LINK)
+    for i, car in enumerate(p.cars[:-1]):
+        if car.rear.name == ARTICULATED:  # a joint without gear, as stiff as one that is solid
+            link[i] = (
+                0.0,
+                0.0,
+                g.stiffness + g.solid,
+                1.0,
+                g.transition,
+                g.travel,
+                0.0,
+                math.inf,
+                0,
+            )
+    for weak in c.weak:
+        if weak.strength < link[weak.coupling - 1]["strength"]:
+            link[weak.coupling - 1]["strength"] = weak.strength
+            link[weak.coupling - 1]["part"] = PARTS.index(weak.part)
+    return link
+
+
+def _along(p: TrainParams) -> tuple[Rows, Rows, Rows]:
+    """Resistance and locomotives: (N,) ALONG, EFFORT and SETTING."""
+    along = np.zeros(len(p.cars), layout.ALONG)
+    effort: list[tuple[float, float]] = []
+    setting: list[tuple[float, float]] = []
+    for i, car in enumerate(p.cars):
+        rows = [*car.resistance]
+        for curve in (car.tractive_effort, car.dynamic_brake):
+            rows += [len(effort), len(effort) + len(curve)]
+            effort += curve
+        points = []
+        if car.tractive_effort or car.dynamic_brake:
+            points = _shares(p.traction, i + 1)
+        along[i] = (*rows, len(setting), len(setting) + len(points))
+        setting += points
+    return along, np.array(effort, layout.EFFORT), np.array(setting, layout.SETTING)
+
+
+def _shares(traction: TractionParams, number: int) -> list[tuple[float, float]]:
+    """(time, share of the effort) of the locomotive ``number``, which follows its notches.
+
+    Linear between the points; empty where it idles all the time. A setting at time 0 is there
+    from the start.
+    """
+    points: list[tuple[float, float]] = [(0.0, 0.0)]
+    wanted = 0.0
+    for notch in traction.notches:
+        if notch.cars and number not in notch.cars:
+            continue
+        if notch.time == 0.0:
+            points = [(0.0, notch.notch / 8.0)]
+        else:
+            share = np.interp(notch.time, *zip(*points))
+            points = [point for point in points if point[0] < notch.time]
+            points.append((notch.time, float(share)))
+            reached = notch.time + abs(notch.notch / 8.0 - share) * traction.response_time
+            if reached > notch.time:
+                points.append((reached, notch.notch / 8.0))
+        wanted = max(wanted, abs(notch.notch))
+    return points if wanted else []
 
 
 def _pose_on_track(track: Track, s: float, d_t: float) -> tuple[float, float, float]:
@@ -390,6 +552,13 @@ def _pose_on_track(track: Track, s: float, d_t: float) -> tuple[float, float, fl
     return 0.5 * (xf + xr), 0.5 * (yf + yr), math.atan2(yf - yr, xf - xr)
 
 
+def initial_travel(params: TrainParams, i: int) -> float:
+    """By how much coupling ``i`` (from 0) is longer at the start than amid its slack, m."""
+    gear = params.couplings.gear
+    jointed = params.cars[i].rear.name == ARTICULATED
+    return 0.5 * gear.start * gear.slack if gear.on and not jointed else 0.0
+
+
 def initial_positions(params: TrainParams, track: Track) -> F64:
     """Coordinates (N, 5) of a train standing on the line with all couplers stretched straight.
 
@@ -403,7 +572,7 @@ def initial_positions(params: TrainParams, track: Track) -> F64:
     if len(track.pieces) == 0:
         for i, car in enumerate(cars):
             if i:
-                s -= car.pivot_distance + car.front.length
+                s -= car.pivot_distance + car.front.length + initial_travel(params, i - 1)
             q[i, 0] = s
             s -= car.pivot_distance + car.rear.length
         return q
@@ -413,7 +582,7 @@ def initial_positions(params: TrainParams, track: Track) -> F64:
             q[0, 3] = q[0, 2]
         else:
             ahead = cars[i - 1]
-            reach = ahead.rear.length + car.front.length
+            reach = ahead.rear.length + car.front.length + initial_travel(params, i - 1)
             px = q[i - 1, 0] - ahead.pivot_distance * math.cos(q[i - 1, 2])
             py = q[i - 1, 1] - ahead.pivot_distance * math.sin(q[i - 1, 2])
             base = ahead.pivot_distance + reach + car.pivot_distance
@@ -496,7 +665,7 @@ def initial_velocities(params: TrainParams, track: Track, q: F64) -> F64:
         v[i, :3] = u * z
         f = pivot(i, car.pivot_distance, v[i])
         rate = ((p[0] - f[0]) * t[0] + (p[1] - f[1]) * t[1]) / (
-            ahead.rear.length + car.front.length
+            ahead.rear.length + car.front.length + initial_travel(params, i - 1)
         )
         v[i - 1, 4] = v[i, 3] = rate
     v[n - 1, 4] = v[n - 1, 2]
@@ -555,6 +724,11 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
     clock["h_next"] = 1e-3
     clock["rest_since"] = -1.0
     clock["duration"] = math.nan
+    coupling = np.zeros(max(n - 1, 0), layout.COUPLING)
+    coupling["travel"] = [initial_travel(params, i) for i in range(n - 1)]
+    coupling["share"] = -1.0
+    for name in ("draft_time", "buff_time"):
+        coupling[name] = math.nan
     peak = np.zeros(n, layout.PEAK)
     for name in ("time", "derail_time", "derail_speed"):
         peak[name] = math.nan
@@ -594,4 +768,7 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
         pair=np.zeros(pair_rows, layout.PAIR),
         contact=np.zeros(2 * pair_rows, layout.CONTACT),
         peak=peak,
+        coupling=coupling,
+        over_since=np.full((n, 2), math.nan),
+        loose=np.zeros((n, 2), dtype=np.uint8),
     )

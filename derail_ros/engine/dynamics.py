@@ -6,6 +6,7 @@ import math
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.forces.along import along_forces
 from derail_ros.engine.forces.brakes import brake_forces
 from derail_ros.engine.forces.collisions import collision_forces
 from derail_ros.engine.forces.couplers import (
@@ -14,7 +15,14 @@ from derail_ros.engine.forces.couplers import (
     coupling_gap,
     coupling_rate,
 )
+from derail_ros.engine.forces.draft_gear import (
+    add_gear_forces,
+    add_telescoping,
+    gear_forces,
+    set_reach,
+)
 from derail_ros.engine.forces.ground import ground_forces
+from derail_ros.engine.forces.guidance import guidance_forces
 from derail_ros.engine.forces.pushes import push_forces
 from derail_ros.engine.forces.track import truck_gamma, truck_rate, truck_rows
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
@@ -30,11 +38,23 @@ PLAIN, FACTORED, IMPLICIT = 0, 1, 2
 
 
 @inner_jit
+def place(model: Model, state: State, work: Work, q: F64) -> None:
+    """Cosines, sines and lengths of couplers at ``q`` into ``work.wk``."""
+    angles(q, work.wk, work.ang)
+    if model.par[0].gear != 0.0:
+        set_reach(model, state, work, q)
+
+
+@inner_jit
 def constraint_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """``gamma = -(dJ/dt) v`` of all constraints into ``work``."""
     keep_separate()
     truck_gamma(model, state, work, v)
     coupling_gamma(model, state, work, q, v)
+    if model.par[0].gear != 0.0:
+        for k in range(q.shape[0] - 1):
+            if state.coupled[k]:
+                add_telescoping(model, work, v, k)
 
 
 @jit
@@ -49,8 +69,9 @@ def accelerations(
     keep_separate()
     wk = work.wk
     force = work.force
+    geared = model.par[0].gear != 0.0
     if mode != FACTORED:
-        angles(q, wk, work.ang)
+        place(model, state, work, q)
     for i in range(work.report.shape[0]):
         for k in range(layout.N_REPORT):
             work.report[i, k] = 0.0
@@ -59,6 +80,12 @@ def accelerations(
     ground_forces(model, state, work, v)
     push_forces(model, state, work, v)
     collision_forces(model, state, work, q, v)
+    if model.par[0].along != 0.0:
+        along_forces(model, state, work, t, q, v)
+    if model.par[0].guide_strength != 0.0:
+        guidance_forces(model, state, work, q, v)
+    if geared:
+        gear_forces(model, state, work, v)
     ok = True
     if mode != FACTORED:
         truck_rows(model, state, work, q)
@@ -74,6 +101,8 @@ def accelerations(
                 force[i, 2] -= wk[i].c_xt * sx + wk[i].c_yt * sy + wk[i].c_tt * sw
     constraint_gamma(model, state, work, q, v)
     solve(model, state, work, out)
+    if geared:
+        add_gear_forces(model, state, work)
     state.cnt[0].evaluations += 1
     return ok
 
@@ -118,7 +147,7 @@ def onto_constraints(model: Model, state: State, work: Work, q: F64, reuse: bool
     wk = work.wk
     factored = reuse
     for _ in range(12):
-        angles(q, wk, work.ang)
+        place(model, state, work, q)
         truck_rows(model, state, work, q)
         gap, offset = constraint_error(model, state, work, q)
         # Beyond 1e5 m from the origin a double resolves no better than its own spacing.

@@ -9,6 +9,8 @@ from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.contacts import end_contact
 from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.forces.couplers import coupler_energy
+from derail_ros.engine.forces.draft_gear import gear_energy, tension
+from derail_ros.engine.forces.guidance import break_out
 from derail_ros.engine.forces.track import break_passed, breaks_in_use, truck_arm
 from derail_ros.engine.interpolation import LOCATED
 from derail_ros.engine.jit import inner_jit, keep_separate
@@ -22,6 +24,9 @@ BRAKE_SIGNAL_REACHED = int(EventKind.BRAKE_SIGNAL_REACHED)
 CAR_AT_REST = int(EventKind.CAR_AT_REST)
 RUN_ENDED = int(EventKind.RUN_ENDED)
 RUN_VOID = int(EventKind.RUN_VOID)
+
+ROLLS = 0.005
+"""A part of the train with cars on the rails that gains speed faster is not at rest, m/s^2."""
 
 
 @inner_jit
@@ -95,10 +100,12 @@ def _part_coupling(
     """Part the coupling behind car ``i``; its knuckle's energy is lost; the pipe may vent."""
     keep_separate()
     t = state.clock[0].t
-    before = coupler_energy(model, state.coupled, state.q)
+    before = coupler_energy(model, state.coupled, state.q)[1]
+    before += gear_energy(model, state.coupled, state.q)
     state.coupled[i] = 0
-    after = coupler_energy(model, state.coupled, state.q)
-    state.energy[layout.E_KNUCKLE] += before[1] - after[1]
+    after = coupler_energy(model, state.coupled, state.q)[1]
+    after += gear_energy(model, state.coupled, state.q)
+    state.energy[layout.E_KNUCKLE] += before - after
     arm = model.car[i].pivot
     reach = model.car[i].rear
     x = state.q[i, 0] - arm * math.cos(state.q[i, 2]) - reach * math.cos(state.q[i, 4])
@@ -121,6 +128,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
     changed = False
     n = state.q.shape[0]
     weight = 0.5 * model.par[0].gravity
+    breaking = model.par[0].strength != 0.0
     for i in range(n):
         virtual = model.car[i].virtual != 0.0
         for k in range(2):
@@ -145,7 +153,12 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             if virtual:
                 continue
             quotient = abs(state.rail_force[i, k]) / (weight * model.car[i].mass)
-            if quotient > model.par[0].lv_limit:
+            if not quotient > model.par[0].lv_limit:
+                state.over_since[i, k] = math.nan
+                continue
+            if math.isnan(state.over_since[i, k]):
+                state.over_since[i, k] = state.clock[0].t
+            if state.clock[0].t - state.over_since[i, k] >= model.par[0].lv_hold:
                 _derail_truck(model, state, work, i, k, layout.CAUSE_LATERAL, quotient)
                 changed = True
                 if model.par[0].break_follows != 0.0:
@@ -161,7 +174,64 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             if angle >= model.knuckle[i].limit - LOCATED:
                 _part_coupling(model, state, work, i, layout.CAUSE_ANGLE, angle)
                 changed = True
+            elif breaking:
+                force = tension(state.q, state.coupler_force, i)
+                if force >= model.link[i].strength:
+                    cause = layout.CAUSE_KNUCKLE
+                    if model.link[i].part != 0.0:
+                        cause = layout.CAUSE_BODY
+                    _part_coupling(model, state, work, i, cause, force)
+                    changed = True
+    if model.par[0].guide_strength != 0.0:
+        changed = break_out(model, state) or changed
     return changed
+
+
+@inner_jit
+def note_coupling_forces(state: State) -> None:
+    """Keep the largest draft and buff forces of the couplings at the accepted state.
+
+    Along the line between the mass centres, as ``Sample.axial_force``.
+    """
+    q = state.q
+    force = state.coupler_force
+    for k in range(force.shape[0]):
+        dx = q[k + 1, 0] - q[k, 0]
+        dy = q[k + 1, 1] - q[k, 1]
+        along = (force[k, 0] * dx + force[k, 1] * dy) / math.sqrt(dx * dx + dy * dy)
+        if along > state.coupling[k].draft:
+            state.coupling[k].draft = along
+            state.coupling[k].draft_time = state.clock[0].t
+        elif -along > state.coupling[k].buff:
+            state.coupling[k].buff = -along
+            state.coupling[k].buff_time = state.clock[0].t
+
+
+@inner_jit
+def _rolls(model: Model, state: State) -> bool:
+    """A part of the train gains speed: one that turns back on a grade is slow but not at rest.
+
+    By the acceleration of cars that hang together, which draft gears do not change.
+    """
+    mass = 0.0
+    x = 0.0
+    y = 0.0
+    rails = False
+    n = state.q.shape[0]
+    for i in range(n):
+        m = model.car[i].mass
+        mass += m
+        x += m * state.a[i, 0]
+        y += m * state.a[i, 1]
+        rails = rails or state.truck_on[i, 0] != 0 or state.truck_on[i, 1] != 0
+        if i == n - 1 or state.coupled[i] == 0:
+            if rails and math.sqrt(x * x + y * y) > ROLLS * mass:
+                return True
+            mass = 0.0
+            x = 0.0
+            y = 0.0
+            rails = False
+    return False
 
 
 @inner_jit
@@ -198,6 +268,8 @@ def note_progress(model: Model, state: State, work: Work) -> None:
                 state, work, CAR_AT_REST, t, i + 1, 0, 0, layout.CAUSE_NONE, state.q[i, 0],
                 state.q[i, 1], math.nan, speed, math.nan,
             )  # fmt: skip
+    if resting and par.along != 0.0:
+        resting = not _rolls(model, state)
     if not resting:
         state.clock[0].rest_since = -1.0
     elif state.clock[0].rest_since < 0.0:

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 
 from derail_ros.engine.arrays import Model, Rows, State, Work
+from derail_ros.engine.forces.along import along_damping
 from derail_ros.engine.forces.brakes import LARGEST_BRAKING, brake_damping
 from derail_ros.engine.forces.ground import ground_damping, largest_drag
 from derail_ros.engine.jit import inner_jit, keep_separate
@@ -66,6 +67,8 @@ def friction_damping(model: Model, state: State, work: Work, h: float) -> bool:
         return False
     brake_damping(model, state, work, state.clock[0].t, v)
     ground_damping(model, state, work, v)
+    if model.par[0].along != 0.0:
+        along_damping(model, state, work, state.clock[0].t, v)
     some = False
     for i in range(v.shape[0]):
         if wk[i].stiff != 0.0:

@@ -42,6 +42,14 @@ PAR = _table("""
     joint_held  # 1: moment held beyond its largest value, see laws.joint
     whole_car  # 1: a car leaves the rails whole as its front truck passes a break
     collide
+    along  # 1: forces along the track, see forces.along
+    profile datum  # 1: the track has grades; potential energy at the start, J
+    curve_resistance  # times mass over radius, m^2/s^2
+    cut keep_dynamic  # s in which an emergency cuts the power; 1: not the dynamic brake
+    gear  # 1: draft gear along the couplings, see forces.draft_gear
+    strength  # 1: couplings break in tension
+    lv_hold  # s that a truck must be above lv_limit
+    guide_strength guide_stiffness guide_play  # of rails beside derailed trucks, N, N/m, m
 """)
 CAR = _table("""
     mass inertia coupler_inertia
@@ -67,6 +75,21 @@ UNIT = _table("""
     delay
     number  # car number in the real train
     hand  # force of the hand brake, N
+""")
+LINK = _table("""
+    slack preload stiffness unloading transition travel solid  # of the draft gear
+    strength part  # N; 0 knuckle, 1 coupler body
+""")
+ALONG = _table("""
+    r0 r1 r2  # resistance on straight level track: N, N s/m, N s^2/m^2
+    power power_end dynamic dynamic_end  # rows of EFFORT
+    setting setting_end  # rows of SETTING; none: no locomotive
+""")
+EFFORT = _table("speed force")
+SETTING = _table("time share")  # of the largest effort; below 0: of the dynamic brake
+GRADE = _table("""
+    s z grade  # where a piece begins, its height and grade there
+    change  # of the grade per metre
 """)
 PUSH = _table("""
     car
@@ -114,6 +137,11 @@ CONTACT = _table("""
     stage  # 0 rising, 1 peak passed, 2 ended
     version  # grows at each peak passed and at the end
 """)
+COUPLING = _table("""
+    draft draft_time buff buff_time  # largest so far, N >= 0
+    travel share  # of the draft gear at the last accepted state: m; friction's, -1 to 1
+    travel0 share0  # at the one before
+""")
 PEAK = _table("force time other derail_time derail_speed resting")
 
 # Scratch -------------------------------------------------------------------------------------
@@ -135,6 +163,7 @@ WORK = _table("""
     d_xx d_xy d_yy  # inverse of the eliminated diagonal block of the coupling behind
     l_xx l_xy l_yx l_yy  # block that ties it to the coupling in front
     rx ry  # eliminated right-hand side
+    reach  # length of the rear coupler with the travel of the draft gear, m
     stiff  # 1: friction of this car is treated implicitly in this step
     c_xx c_xy c_xt c_yy c_yt c_tt  # its damping by (Vx, Vy, yaw rate)
     sx sy sw  # what the implicit stages add to the velocities' change
@@ -161,7 +190,7 @@ TRIAL = _table("""
 RUNNING, AT_REST, TIME_LIMIT, VOID, FAILED = range(5)
 
 (CAUSE_NONE, CAUSE_INITIAL, CAUSE_BREAK, CAUSE_LATERAL, CAUSE_ANGLE, CAUSE_COMMAND, CAUSE_VENT,
- CAUSE_SIGNAL) = range(8)  # fmt: skip
+ CAUSE_SIGNAL, CAUSE_KNUCKLE, CAUSE_BODY) = range(10)  # fmt: skip
 
 BY_ACCURACY, BY_CAP, BY_MOMENT, BY_STABILITY, BY_LARGEST = range(5)
 """What sets the size of a step: error control, the cap on a corner's way, a moment (a switched
@@ -172,12 +201,15 @@ force or a located event), the stability of an explicit method, the largest step
 ARR_CONV, ARR_INST, ARR_TL, ARR_INST_TL = range(4)
 """Arrival times of a brake unit, by kind of application."""
 
-E_BRAKE, E_GROUND_TRUCK, E_GROUND_BODY, E_COLLISION, E_DAMPER, E_EXTERNAL = range(6)
-N_POWER = 6
-E_KNUCKLE, E_STAB_NET, E_STAB_GROSS = range(6, 9)
-N_ENERGY = 9
-"""Work entries of the ledger. The first six are integrated with the state; E_EXTERNAL is put in,
-E_KNUCKLE is released at parting."""
+(E_BRAKE, E_GROUND_TRUCK, E_GROUND_BODY, E_COLLISION, E_DAMPER, E_EXTERNAL, E_TRACTION, E_DYNAMIC,
+ E_RESISTANCE, E_GEAR, E_GUIDANCE) = range(11)  # fmt: skip
+N_POWER = 11
+E_KNUCKLE, E_STAB_NET, E_STAB_GROSS = range(11, 14)
+N_ENERGY = 14
+"""Work entries of the ledger. The first eleven are integrated with the state; E_EXTERNAL and
+E_TRACTION are put in, E_KNUCKLE is released at parting."""
+FIRST_POWERS = 6
+"""Powers in states that were saved before there were forces along the track."""
 
 R_BRAKE = 0
 R_TRUCK = 1  # ground force: front x y, rear x y
@@ -187,6 +219,7 @@ R_STRIKER = 8  # front, rear
 R_KNUCKLE = 10
 R_COLLISION = 11  # x, y, moment
 R_EXTERNAL = 14  # x, y, moment
-R_CORNER = 17  # four corners: force, gap, closing speed, other car
-N_REPORT = 33
+R_ALONG = 17  # grade, resistance, locomotive
+R_CORNER = 20  # four corners: force, gap, closing speed, other car
+N_REPORT = 36
 """Forces as ``sample`` gives them, one row a car."""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derail_ros.engine.sampling import ledger
-from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.engine.sampling import ledger, raised
+from derail_ros.vocabulary.outcome import Outcome, parted_couplings
 from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
@@ -24,7 +24,7 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
     clock, cnt, peak = state.clock[0], state.cnt[0], state.peak
     off = (state.truck_on == 0).any(axis=1)
     derailed = tuple(int(i) + 1 for i in np.flatnonzero(off))
-    pose = planar(state.q)
+    pose = raised(run.track, planar(state.q), state.truck_s)
     corners = car_corners(pose, 2.0 * model.car["half_l"], 2.0 * model.car["half_w"])
     length, width, area = scene_box(run.track, corners[off], state.truck_s[off, 0])
 
@@ -39,7 +39,6 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
 
     behind = range(derailed[-1], run.n_cars) if derailed else range(0)
     rear = next((i for i in behind if state.truck_on[i, 0]), None)
-    initial = float(clock["initial_energy"])
     return Outcome(
         status=run.status,
         time=run.time,
@@ -64,7 +63,13 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
         pose=pose,
         rear_part_first_car=0 if rear is None else rear + 1,
         rear_part_coordinate=math.nan if rear is None else float(state.truck_s[rear, 0]),
-        energy=ledger(model, initial, state.energy, state.coupled, state.q, state.v),
+        energy=ledger(model, state, state.energy, state.coupled, state.q, state.v),
         energy_residual=float(clock["max_residual"]),
+        couplings={
+            f"max_{which}_{unit}": state.coupling[column].copy()
+            for which in ("draft", "buff")
+            for unit, column in (("N", which), ("time_s", f"{which}_time"))
+        },
+        parted=parted_couplings(run.events),
         train=train_totals(run.params.cars),
     )

@@ -27,6 +27,8 @@ CAUSES = {
     layout.CAUSE_COMMAND: "command",
     layout.CAUSE_VENT: "vented",
     layout.CAUSE_SIGNAL: "brake signal",
+    layout.CAUSE_KNUCKLE: "knuckle broke",
+    layout.CAUSE_BODY: "coupler body broke",
 }
 
 BEFORE_AFTER = {

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
-from derail_ros.engine.dynamics import IMPLICIT, PLAIN, accelerations, constraint_gamma
+from derail_ros.engine.dynamics import IMPLICIT, PLAIN, accelerations, constraint_gamma, place
 from derail_ros.engine.forces.track import truck_rows
 from derail_ros.engine.implicit import friction_damping, implicit_masses, restore_masses
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.methods import ERRORS, GAMMA, META, TIMES, WEIGHTS
 from derail_ros.engine.solver import factor, solve
-from derail_ros.engine.trigonometry import angles
 
 
 @inner_jit
@@ -85,7 +84,7 @@ def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
     gamma = table[META, GAMMA]
     stiff = False
     if gamma > 0.0:
-        angles(state.q, wk, work.ang)
+        place(model, state, work, state.q)
         stiff = friction_damping(model, state, work, h)
     for m in range(size):
         kq[m] = v0_flat[m]

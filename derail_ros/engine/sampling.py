@@ -11,9 +11,12 @@ from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, U8, Model, State, Work, make_work
 from derail_ros.engine.dynamics import PLAIN, accelerations
 from derail_ros.engine.energy import kinetic_energy
+from derail_ros.engine.forces.along import potential_energy
 from derail_ros.engine.forces.couplers import coupler_energy
+from derail_ros.engine.forces.draft_gear import gear_energy
 from derail_ros.engine.interpolation import interpolate, interpolate_energy
 from derail_ros.engine.solver import plain_masses
+from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ConstraintError
 from derail_ros.vocabulary.ledger import residual
 from derail_ros.vocabulary.sample import Sample, planar
@@ -35,11 +38,19 @@ WORK_ENTRIES = {
 """Entries of the ledger that are integrated with the state, and their columns."""
 
 
-def ledger(
-    model: Model, initial: float, work: F64, coupled: U8, q: F64, v: F64
-) -> dict[str, float]:
-    """The energy ledger of a state, J."""
+ALONG_ENTRIES = {
+    "traction": layout.E_TRACTION,
+    "dynamic_brake": layout.E_DYNAMIC,
+    "resistance": layout.E_RESISTANCE,
+}
+"""The same of the forces along the track, where there are some."""
+
+
+def ledger(model: Model, state: State, work: F64, coupled: U8, q: F64, v: F64) -> dict[str, float]:
+    """The energy ledger of a state with the work entries ``work``, J."""
     striker, knuckle = coupler_energy(model, coupled, q)
+    par = model.par[0]
+    initial = state.clock["initial_energy"][0]
     entries = {
         "kinetic": float(kinetic_energy(model, v)),
         "striker": float(striker),
@@ -47,6 +58,15 @@ def ledger(
         "initial": float(initial),
         **{key: float(work[column]) for key, column in WORK_ENTRIES.items()},
     }
+    if par["gear"]:
+        entries["draft_gear"] = float(gear_energy(model, coupled, q))
+        entries["draft_gear_friction"] = float(work[layout.E_GEAR])
+    if par["guide_strength"]:
+        entries["guidance"] = float(work[layout.E_GUIDANCE])
+    if par["along"]:
+        entries |= {key: float(work[column]) for key, column in ALONG_ENTRIES.items()}
+    if par["profile"]:
+        entries["potential"] = float(potential_energy(model, state, q) - par["datum"])
     entries["residual"] = residual(entries)
     return entries
 
@@ -56,6 +76,22 @@ def all_active(state: State, work: Work) -> None:
     count = int(state.cnt["pairs"][0])
     work.active[0] = count
     work.active[1 : 1 + count] = np.arange(count)
+
+
+def raised(track: Track, pose: F64, truck_s: F64, velocity: F64 | None = None) -> F64:
+    """The pose of cars on the grades of their track: height (m) and pitch (rad).
+
+    Adds the vertical velocity (m/s) to ``velocity``.
+    """
+    if len(track.grades):
+        for i, (x, y) in enumerate(pose[:, :2]):
+            s, _ = track.locate(float(x), float(y), float(truck_s[i].mean()))
+            pose[i, 2], grade = track.height(s)
+            pose[i, 4] = -math.atan(grade)
+            if velocity is not None:
+                c, sn = math.cos(pose[i, 5]), math.sin(pose[i, 5])
+                velocity[i, 2] = grade * (velocity[i, 0] * c + velocity[i, 1] * sn)
+    return pose
 
 
 class Sampler:
@@ -90,21 +126,27 @@ class Sampler:
             cnt=s.cnt.copy(),
             truck_s=s.truck_s.copy(),
             pair=s.pair.copy(),
+            coupling=s.coupling.copy(),
+            loose=s.loose,
             truck_on=(s.truck_on0 if inside else s.truck_on).copy(),
             coupled=(s.coupled0 if inside else s.coupled).copy(),
         )
+        if inside:
+            view.coupling["travel"] = view.coupling["travel0"]
+            view.coupling["share"] = view.coupling["share0"]
         all_active(s, work)
         if not accelerations(model, view, work, min(t, run.time), q, v, work.dx, PLAIN):
             raise ConstraintError("the constraint equations cannot be solved", run)
         self._locate_derailed_trucks(view)
+        velocity = planar(v)
         r = work.report
         corner = r[:, layout.R_CORNER :].reshape(n, 4, 4)
         touched = corner[:, :, 0] > 0.0
         return Sample(
             time=t,
             step=run.step_count,
-            pose=planar(q),
-            velocity=planar(v),
+            pose=raised(run.track, planar(q), view.truck_s, velocity),
+            velocity=velocity,
             acceleration=planar(a),
             coupler_yaw=q[:, 3:5].copy(),
             coupler_rate=v[:, 3:5].copy(),
@@ -130,7 +172,9 @@ class Sampler:
             corner_other=corner[:, :, 3].astype(np.int64),
             external_force=r[:, layout.R_EXTERNAL : layout.R_EXTERNAL + 2].copy(),
             external_moment=r[:, layout.R_EXTERNAL + 2].copy(),
-            energy=ledger(model, s.clock["initial_energy"][0], energy, view.coupled, q, v),
+            energy=ledger(model, view, energy, view.coupled, q, v),
+            cars=self._along(r),
+            couplings=self._couplings(work, view),
         )
 
     def _locate_derailed_trucks(self, view: State) -> None:
@@ -158,4 +202,23 @@ class Sampler:
             return q[:, :2] + sign * np.stack([x, y], axis=1)
 
         apart = face(-1.0, "rear", 4)[:-1] - face(1.0, "front", 3)[1:]
-        return np.where(coupled.astype(bool), np.hypot(*apart.T), 0.0)
+        gap = np.hypot(*apart.T)
+        if self._run._model.par["gear"][0]:  # along the coupler it is the travel of the gear
+            gap = np.abs(apart[:, 1] * np.cos(q[:-1, 4]) - apart[:, 0] * np.sin(q[:-1, 4]))
+        return np.where(coupled.astype(bool), gap, 0.0)
+
+    def _along(self, report: F64) -> dict[str, F64]:
+        """Forces along the track, where there are some: (N,)."""
+        if not self._run._model.par["along"][0]:
+            return {}
+        names = ("grade_force_N", "resistance_N", "locomotive_force_N")
+        return {name: report[:, layout.R_ALONG + k].copy() for k, name in enumerate(names)}
+
+    def _couplings(self, work: Work, view: State) -> dict[str, F64]:
+        """Largest forces so far and the travel of the draft gear: (N-1,)."""
+        told = {"max_draft_N": view.coupling["draft"], "max_buff_N": view.coupling["buff"]}
+        told = {name: values.copy() for name, values in told.items()}
+        if self._run._model.par["gear"][0]:
+            reach = work.wk["reach"][:-1] - self._run._model.car["rear"][:-1]
+            told["draft_gear_travel_m"] = np.where(view.coupled.astype(bool), reach, 0.0)
+        return told

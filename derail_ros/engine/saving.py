@@ -92,6 +92,7 @@ def from_bytes(kind: type[PlanarSimulation], data: bytes) -> PlanarSimulation:
 def _restored(fresh: State, saved: dict[str, NDArray[Any]]) -> State:
     """Saved arrays in place of a fresh run's, with spare rows again."""
     fields = fresh._asdict()
+    saved = _of_today(fields, saved)
     if set(fields) != set(saved):
         raise StateFormatError("the arrays of the saved state do not match this version")
     arrays = {name: _as_rows(name, array, fields[name]) for name, array in saved.items()}
@@ -105,6 +106,24 @@ def _restored(fresh: State, saved: dict[str, NDArray[Any]]) -> State:
             raise StateFormatError(f"array {name} does not fit this train or this version")
         fields[name] = array
     return State(**fields)
+
+
+def _of_today(
+    fresh: dict[str, NDArray[Any]], saved: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """Arrays of a state from before there were forces along the track, with nothing of them."""
+    if "coupling" in saved:
+        return saved
+    of = layout.FIRST_POWERS
+    none = np.zeros(layout.N_POWER - of)
+    arrays = dict(saved)
+    for name in ("energy", "energy0", "power", "power0", "power1"):
+        if name in saved:
+            arrays[name] = np.concatenate([saved[name][:of], none, saved[name][of:]])
+    rows = fresh["coupling"]
+    kind = rows.dtype
+    arrays["coupling"] = rows.view(kind[0]).reshape(len(rows), len(kind.names or ()))
+    return arrays | {name: fresh[name] for name in ("over_since", "loose")}
 
 
 def _as_rows(name: str, array: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:

@@ -15,9 +15,9 @@ from derail_ros.engine import layout, saving, stepper
 from derail_ros.engine.arrays import State, make_work
 from derail_ros.engine.build import ARRIVALS, build_model, check_trigger, initial_state, validate
 from derail_ros.engine.dynamics import PLAIN, accelerations, project_positions, project_velocities
-from derail_ros.engine.energy import kinetic_energy
+from derail_ros.engine.energy import stored_energy
+from derail_ros.engine.forces.along import potential_energy
 from derail_ros.engine.forces.brakes import apply_brakes
-from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.engine.outcome import make_outcome
 from derail_ros.engine.reports import (
@@ -146,9 +146,8 @@ class PlanarSimulation(Simulation):
         s.a1[:] = s.a
         s.power0[:] = s.power
         s.power1[:] = s.power
-        s.clock["initial_energy"][0] = kinetic_energy(self._model, s.v) + sum(
-            coupler_energy(self._model, s.coupled, s.q)
-        )
+        self._model.par["datum"] = potential_energy(self._model, s, s.q)
+        s.clock["initial_energy"][0] = stored_energy(self._model, s, s.q, s.v)
         self._drain()
 
     def _evaluate(self) -> bool:

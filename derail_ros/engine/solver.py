@@ -18,7 +18,8 @@ and the couplings form a symmetric positive definite block tridiagonal system wi
     D_k = W_BB(k) + W_FF(k + 1),   off-diagonal -W_FB
 
 (B rear face, F front face), solved by block LDL^T along the train. A removed row is left out of
-its block; nothing else changes.
+its block; nothing else changes. Where draft gear works along a coupling (``forces.draft_gear``)
+its D^-1 is ``n n^T / (n^T D n)``, n across the coupler: lambda has no part along it.
 
 ``M^-1`` is a symmetric 3 x 3 block for (X, Y, theta) and two scalars for the coupler bodies, so
 that the same factorization serves integrators that add an implicit damping to M.
@@ -45,6 +46,7 @@ def plain_mass(car: Rows, wk: Rows, i: int) -> None:
     w.m_tt = 1.0 / car[i].inertia
     w.m_front = 1.0 / car[i].coupler_inertia
     w.m_rear = 1.0 / car[i].coupler_inertia
+    w.reach = car[i].rear
 
 
 @jit
@@ -127,6 +129,7 @@ def factor(model: Model, state: State, work: Work) -> bool:
     wk = work.wk
     truck_on = state.truck_on
     coupled = state.coupled
+    geared = model.par[0].gear != 0.0
     n = wk.shape[0]
     ok = True
     for i in range(n):
@@ -159,7 +162,7 @@ def factor(model: Model, state: State, work: Work) -> bool:
         # W_BB of car k, with its rear coupler body
         ax = car[k].pivot * a.st
         ay = -car[k].pivot * a.ct
-        s = car[k].rear * car[k].rear * a.m_rear
+        s = a.reach * a.reach * a.m_rear
         dxx = a.bx_x + ax * a.bx_t + s * a.sb * a.sb
         dxy = a.by_x + ax * a.by_t - s * a.sb * a.cb
         dyy = a.by_y + ay * a.by_t + s * a.cb * a.cb
@@ -184,6 +187,13 @@ def factor(model: Model, state: State, work: Work) -> bool:
             dxx -= txx * a.l_xx + txy * a.l_xy
             dxy -= txx * a.l_yx + txy * a.l_yy
             dyy -= tyx * a.l_yx + tyy * a.l_yy
+        if geared:
+            # only the row across the rear coupler is there: the inverse on its direction
+            across = a.sb * a.sb * dxx - 2.0 * a.sb * a.cb * dxy + a.cb * a.cb * dyy
+            a.d_xx = a.sb * a.sb / across
+            a.d_xy = -a.sb * a.cb / across
+            a.d_yy = a.cb * a.cb / across
+            continue
         det = dxx * dyy - dxy * dxy
         if not det > 0.0:
             ok = False
@@ -273,7 +283,7 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
         x[k, 0] += a.bx_x * lx + a.by_x * ly
         x[k, 1] += a.bx_y * lx + a.by_y * ly
         x[k, 2] += a.bx_t * lx + a.by_t * ly
-        x[k, 4] += car[k].rear * a.m_rear * (a.sb * lx - a.cb * ly)
+        x[k, 4] += a.reach * a.m_rear * (a.sb * lx - a.cb * ly)
         x[k + 1, 0] -= b.fx_x * lx + b.fy_x * ly
         x[k + 1, 1] -= b.fx_y * lx + b.fy_y * ly
         x[k + 1, 2] -= b.fx_t * lx + b.fy_t * ly

@@ -29,13 +29,20 @@ from derail_ros.engine.dynamics import (
     accelerations,
     constraint_error,
     onto_constraints,
+    place,
     project_velocities,
 )
 from derail_ros.engine.energy import energy_residual, stored_energy
-from derail_ros.engine.events import note_progress, remove_constraints, speed_of
+from derail_ros.engine.events import (
+    note_coupling_forces,
+    note_progress,
+    remove_constraints,
+    speed_of,
+)
 from derail_ros.engine.forces.brakes import next_application
 from derail_ros.engine.forces.collisions import first_jump
 from derail_ros.engine.forces.couplers import first_kink, first_limit
+from derail_ros.engine.forces.draft_gear import first_fracture, keep_travel
 from derail_ros.engine.forces.pushes import next_push
 from derail_ros.engine.forces.track import first_overload, first_passing, on_track, truck_rows
 from derail_ros.engine.implicit import longest_stable
@@ -49,7 +56,6 @@ from derail_ros.engine.runge_kutta import (
     step_error,
     take_stages,
 )
-from derail_ros.engine.trigonometry import angles
 
 # What `advance` stopped for.
 DONE, DRAIN, GROW_PAIRS, GROW_CONTACTS = 0, 1, 2, 3
@@ -139,7 +145,7 @@ def try_stages(model: Model, state: State, work: Work) -> int:
             return OFF_CONSTRAINTS
         project_velocities(model, state, work, work.stage_v)
     else:
-        angles(work.stage_q, work.wk, work.ang)
+        place(model, state, work, work.stage_q)
         truck_rows(model, state, work, work.stage_q)
     return STANDS
 
@@ -193,8 +199,16 @@ def locate_moment(model: Model, state: State, work: Work) -> int:
 
 @inner_jit
 def locate_overload(model: Model, state: State, work: Work) -> int:
-    """Find the first moment at which a truck reaches its lateral limit (needs ``try_end``)."""
-    return _end_at(model, work, first_overload(model, state, work))
+    """Find the first moment at which a truck or a coupling reaches its limit.
+
+    It needs the forces of ``try_end``.
+    """
+    share = 1.0
+    if model.par[0].lv_hold == 0.0:
+        share = first_overload(model, state, work)
+    if model.par[0].strength != 0.0:
+        share = min(share, first_fracture(model, state, work))
+    return _end_at(model, work, share)
 
 
 @inner_jit
@@ -282,6 +296,9 @@ def take_over(model: Model, state: State, work: Work) -> None:
     gap, offset = constraint_error(model, state, work, state.q)
     clock.max_gap = max(clock.max_gap, gap)
     clock.max_offset = max(clock.max_offset, offset)
+    if model.par[0].gear != 0.0:
+        keep_travel(model, state, work)
+    note_coupling_forces(state)
 
 
 @inner_jit

@@ -22,7 +22,8 @@ import numpy as np
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Rows
 from derail_ros.engine.jit import jit
-from derail_ros.vocabulary.params import TrackParams
+from derail_ros.engine.laws.profile import height
+from derail_ros.vocabulary.params import GradeChange, TrackParams
 
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(8)
 GX = tuple(0.5 * (x + 1.0) for x in _GAUSS_X.tolist())
@@ -104,6 +105,32 @@ def locate(track: Rows, x: float, y: float, s: float) -> tuple[float, float, flo
     return s, d, h, kappa, e
 
 
+def grade_pieces(changes: tuple[GradeChange, ...]) -> Rows:
+    """Pieces of the profile (``laws.profile``), with height 0 at the track coordinate 0."""
+    rows: list[tuple[float, float, float, float]] = []
+    grade = 0.0
+    for change in changes:
+        if math.isinf(change.at):
+            grade = change.grade
+            continue
+        begin, end = change.at - 0.5 * change.length, change.at + 0.5 * change.length
+        if not rows:
+            rows.append((begin, 0.0, grade, 0.0))
+        s, z, g, c = rows[-1]
+        z += (g + 0.5 * c * (begin - s)) * (begin - s)
+        if change.length > 0.0:
+            rows.append((begin, z, grade, (change.grade - grade) / change.length))
+            z += 0.5 * (grade + change.grade) * change.length
+        rows.append((end, z, change.grade, 0.0))
+        grade = change.grade
+    if changes and not rows:
+        rows.append((0.0, 0.0, grade, 0.0))
+    pieces = np.array(rows, layout.GRADE)
+    if rows:
+        pieces["z"] -= height(pieces, 0.0)[0]
+    return pieces
+
+
 class Track:
     """The alignment of a run, for queries from outside the kernels.
 
@@ -111,6 +138,7 @@ class Track:
     ----------
     pieces : (P,) TRACK, as the kernels take them
     start, end : track coordinates of its ends, m (infinite for the endless straight)
+    grades : (G,) GRADE; none: level
     """
 
     def __init__(self, params: TrackParams) -> None:
@@ -137,6 +165,7 @@ class Track:
         self.pieces: Rows = np.array(rows, layout.TRACK)
         self.start = params.start_coordinate if rows else -math.inf
         self.end = s if rows else math.inf
+        self.grades = grade_pieces(params.grades)
 
     @property
     def straight(self) -> bool:
@@ -169,6 +198,13 @@ class Track:
         )
         z = p["x"] + 1j * p["y"] + np.where(p["dkappa"] == 0.0, arc, u * heading)
         return np.stack([z.real, z.imag], axis=-1)
+
+    def height(self, s: float) -> tuple[float, float]:
+        """Height over the track at coordinate 0 (m) and grade (rise per metre) at ``s``."""
+        if len(self.grades) == 0:
+            return 0.0, 0.0
+        z, grade = height(self.grades, s)
+        return float(z), float(grade)
 
     def locate(self, x: float, y: float, hint: float | None = None) -> tuple[float, float]:
         """Track coordinate and offset to the left of a point (m).

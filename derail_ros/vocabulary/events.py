@@ -127,6 +127,8 @@ def describe(e: Event) -> str:
         if e.cause == "angle" and math.isfinite(e.value):
             angle = f"{math.degrees(abs(e.value)):.0f}\N{DEGREE SIGN}"
             return f"{pair} part: their couplers turned {angle} apart{how_fast}"
+        if e.cause.endswith("broke") and math.isfinite(e.value):
+            return f"{pair} part: the {e.cause} at a tension of {force(e.value)}{how_fast}"
         return f"{pair} part{why}{how_fast}"
     if e.kind == EventKind.RAIL_BREAK_SET:
         return f"{_BREAKS.get(e.cause, 'the rail breaks')}{where}"

@@ -48,14 +48,21 @@ ENERGY_ENTRIES: dict[str, EnergyEntry] = {
         EnergyEntry("kinetic", STORED, "kinetic energy"),
         EnergyEntry("striker", STORED, "elastic energy of the striker springs"),
         EnergyEntry("knuckle", STORED, "elastic energy of the mated coupler heads"),
+        EnergyEntry("draft_gear", STORED, "elastic energy of the draft gear"),
+        EnergyEntry("potential", STORED, "potential energy, over that at the start"),
         EnergyEntry("initial", INITIAL, "kinetic and elastic energy at the start"),
         EnergyEntry("brakes", TAKEN, "the brakes"),
         EnergyEntry("ground_trucks", TAKEN, "the ground under derailed trucks"),
         EnergyEntry("ground_body", TAKEN, "the ground under uncoupled cars"),
         EnergyEntry("collisions", TAKEN, "collisions between cars"),
         EnergyEntry("striker_dampers", TAKEN, "draft gear"),
+        EnergyEntry("guidance", TAKEN, "rails beside derailed trucks"),
+        EnergyEntry("draft_gear_friction", TAKEN, "friction of the draft gear"),
+        EnergyEntry("dynamic_brake", TAKEN, "the dynamic brake"),
+        EnergyEntry("resistance", TAKEN, "rolling, air and curve resistance"),
         EnergyEntry("knuckles_released", TAKEN, "couplings that parted"),
         EnergyEntry("external", PUT, "the force that starts the motion"),
+        EnergyEntry("traction", PUT, "locomotives"),
         EnergyEntry("stabilization_net", PUT, "constraint stabilization (numerical)"),
         EnergyEntry("stabilization_gross", CHECK, "constraint stabilization, summed by size"),
         EnergyEntry("residual", CHECK, "what the balance leaves unexplained"),
@@ -78,9 +85,15 @@ def residual(ledger: Mapping[str, float]) -> float:
     return total[INITIAL] + total[PUT] - total[TAKEN] - total[STORED]
 
 
+def available(ledger: Mapping[str, float]) -> float:
+    """Energy that the train had to lose, J: at the start, from locomotives, and from its fall."""
+    gained = max(ledger.get("traction", 0.0), 0.0) + max(-ledger.get("potential", 0.0), 0.0)
+    return (ledger.get("initial") or 0.0) + gained
+
+
 def shares(ledger: Mapping[str, float]) -> list[tuple[EnergyEntry, float, float]]:
-    """What took energy out: entry, J, share of the initial energy (nan without); largest first."""
-    total = ledger.get("initial") or 0.0
+    """What took energy out: entry, J, share of what there was (nan without); largest first."""
+    total = available(ledger)
     rows = [
         (e, ledger[e.key], ledger[e.key] / total if total > 0.0 else math.nan)
         for e in entries(TAKEN)
@@ -110,11 +123,14 @@ def stopped_by(ledger: Mapping[str, float]) -> str:
     ranked = [row for row in shares(ledger) if math.isfinite(row[2])]
     if not ranked:
         return "The energy ledger is not known."
-    opening = f"Of the {energy(ledger['initial'])} at the start"
+    total = available(ledger)
+    more = [("traction", "from locomotives", 1.0), ("potential", "from the grade", -1.0)]
+    came = [words for key, words, sign in more if sign * ledger.get(key, 0.0) > NO_ENERGY]
+    opening = f"Of the {energy(total)} {joined(['at the start', *came])}"
     large = [row for row in ranked if row[2] >= SMALL_SHARE]
     if not large:
         return f"{opening} nothing has been taken out yet."
-    left = ledger.get("kinetic", 0.0) / ledger["initial"]
+    left = ledger.get("kinetic", 0.0) / total
     parts = [(e.words, s) for e, _, s in large]
     if left >= SMALL_SHARE:
         parts.append(("still motion", left))

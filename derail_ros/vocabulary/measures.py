@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.outcome import COUPLING_VALUES, Outcome
 from derail_ros.vocabulary.severity import severity
 from derail_ros.vocabulary.status import AT_REST, FAILED
 from derail_ros.vocabulary.words import finite, number_list
@@ -185,6 +185,14 @@ MEASURES: dict[str, Measure] = _all(
             unit="m", group=DETAIL),
     Measure("train_mass_kg", "mass of the train", lambda o: o.train.mass, unit="kg",
             shown_unit="t", scale=1e-3, digits=0, group=DETAIL),
+    Measure("max_draft_N", "largest draft force in the train", lambda o: o.largest("draft")[0],
+            unit="N", shown_unit="MN", scale=1e-6, digits=2),
+    Measure("max_draft_coupling", "in the coupling behind car",
+            lambda o: o.largest("draft")[1] or None, COUNT, group=DETAIL),
+    Measure("max_buff_N", "largest buff force in the train", lambda o: o.largest("buff")[0],
+            unit="N", shown_unit="MN", scale=1e-6, digits=2),
+    Measure("max_buff_coupling", "in the coupling behind the car",
+            lambda o: o.largest("buff")[1] or None, COUNT, group=DETAIL),
     Measure("status", "status", lambda o: o.status, TEXT, group=DETAIL),
     Measure("at_rest", "came to rest", lambda o: o.status == AT_REST, FLAG, group=DETAIL),
     Measure("void", "void", lambda o: o.void, FLAG, group=DETAIL),
@@ -227,8 +235,25 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
         **{key: m.value(outcome) for key, m in MEASURES.items()},
         "train": outcome.train.record,
         "energy_J": energy,
+        "in_train": in_train(outcome),
+        "parted": [
+            {"coupling": p.coupling, "time_s": p.time, "cause": p.cause}
+            | ({"force_N": p.force} if p.force else {})
+            for p in outcome.parted
+        ],
         "wall_s": finite(wall_s, 6),
     }
+
+
+def in_train(outcome: Outcome) -> Record:
+    """Largest forces in the couplings: of the train, and of each coupling with its time."""
+    rows = zip(*(outcome.couplings.get(key, ()) for key in COUPLING_VALUES), strict=True)
+    couplings = [
+        {"coupling": k, **{key: finite(v) for key, v in zip(COUPLING_VALUES, row, strict=True)}}
+        for k, row in enumerate(rows, 1)
+    ]
+    most = {key: MEASURES[key].value(outcome) for key in ("max_buff_N", "max_draft_N")}
+    return {**most, "couplings": couplings}
 
 
 def shown_rows(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.status import (
     AT_REST,
     CERTAIN_RUPTURE_FORCE,
@@ -20,6 +21,26 @@ from derail_ros.vocabulary.train import TrainTotals
 from derail_ros.vocabulary.words import count, force
 
 F64 = NDArray[np.float64]
+
+
+COUPLING_VALUES = ("max_draft_N", "max_draft_time_s", "max_buff_N", "max_buff_time_s")
+"""Keys of :attr:`Outcome.couplings`."""
+
+PARTED_CAUSES = ("initial", "angle", "knuckle broke", "coupler body broke")
+"""Causes of a parted coupling, by their numbers in messages."""
+
+
+@dataclass(frozen=True)
+class Parted:
+    """A coupling that parted: ``coupling`` i joins cars i and i + 1.
+
+    ``time`` in s, ``cause`` as of the event; ``force`` at which it broke, N, 0 for other causes.
+    """
+
+    coupling: int
+    time: float
+    cause: str
+    force: float = 0.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,6 +70,9 @@ class Outcome:
     energy : ledger entry (``ledger.ENERGY_ENTRIES``) -> J now
     energy_residual : largest |imbalance| of the ledger over the run / initial energy
     train : totals of the train
+    couplings : largest draft and buff force of each coupling and when (``COUPLING_VALUES``):
+        key -> (N-1,), both >= 0; {} where they are not known
+    parted : couplings that parted, in the order of time
     values, car_values : further numbers by name, unit in the name; the latter (N,)
     """
 
@@ -78,6 +102,8 @@ class Outcome:
     energy: Mapping[str, float]
     energy_residual: float
     train: TrainTotals = TrainTotals()
+    couplings: Mapping[str, F64] = field(default_factory=dict)
+    parted: tuple[Parted, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     car_values: Mapping[str, F64] = field(default_factory=dict)
 
@@ -162,6 +188,14 @@ class Outcome:
         """Cars struck above ``status.CERTAIN_RUPTURE_FORCE``."""
         return self.cars_above(CERTAIN_RUPTURE_FORCE)
 
+    def largest(self, which: str) -> tuple[float, int, float]:
+        """Largest "draft" or "buff" force (N), its coupling and when (s); nan, 0, nan without."""
+        forces = self.couplings.get(f"max_{which}_N", np.zeros(0))
+        if not np.any(forces > 0.0):
+            return math.nan, 0, math.nan
+        k = int(np.nanargmax(forces))
+        return float(forces[k]), k + 1, float(self.couplings[f"max_{which}_time_s"][k])
+
     @property
     def rear_stop(self) -> float:
         """Track coordinate at which the rear part stopped, m; nan unless the train is at rest."""
@@ -172,6 +206,15 @@ class Outcome:
         """Run time at which the first truck left the rails, s; nan without."""
         times = self.derail_time[np.isfinite(self.derail_time)]
         return float(times.min()) if len(times) else math.nan
+
+
+def parted_couplings(events: Iterable[Event]) -> tuple[Parted, ...]:
+    """Couplings that parted, by their events."""
+    return tuple(
+        Parted(min(e.cars), e.time, e.cause, e.value if e.cause.endswith("broke") else 0.0)
+        for e in events
+        if e.kind == EventKind.COUPLER_PARTED and e.cars
+    )
 
 
 def derailed(n: int) -> str:

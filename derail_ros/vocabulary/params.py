@@ -93,6 +93,9 @@ class Car:
     locomotives, loads, empties : how many of the cars it stands for are that; a car whose load
         is not known is none of them
     coupled_length : of a virtual body, the length over couplers of the cars it stands for, m
+    resistance : ``r0, r1, r2`` of its resistance ``r0 + r1 v + r2 v^2``, N, N s/m, N s^2/m^2
+    tractive_effort, dynamic_brake : of a locomotive: largest effort over speed, (m/s, N) rising
+        in speed, straight between the points and constant beyond
     """
 
     mass: float
@@ -112,6 +115,9 @@ class Car:
     loads: int = field(default=0, metadata=LATER)
     empties: int = field(default=0, metadata=LATER)
     coupled_length: float = field(default=0.0, metadata=LATER)
+    resistance: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata=LATER)
+    tractive_effort: tuple[tuple[float, float], ...] = field(default=(), metadata=LATER)
+    dynamic_brake: tuple[tuple[float, float], ...] = field(default=(), metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,22 @@ class TrackSegment:
 
 
 @dataclass(frozen=True)
+class GradeChange:
+    """Where the grade changes: a vertical curve (a parabola) with its middle there.
+
+    Attributes
+    ----------
+    at : track coordinate, m; -inf for the grade at the beginning of the track
+    grade : from there on, rise per metre, positive uphill in the direction of travel
+    length : of the vertical curve, m; 0 is a kink
+    """
+
+    at: float
+    grade: float
+    length: float = 0.0
+
+
+@dataclass(frozen=True)
 class TrackParams:
     """The centre line.
 
@@ -141,6 +163,8 @@ class TrackParams:
     start_coordinate : track coordinate of the beginning of the first segment, m
     start_x, start_y, start_heading : its place (m) and direction (rad)
     rail_breaks : track coordinates of the breaks present at the start, m
+    grades : changes of the grade in order of rising track coordinate; level before the first
+    curve_resistance : resistance in a curve times its radius over the mass, m^2/s^2
     """
 
     segments: tuple[TrackSegment, ...] = ()
@@ -149,6 +173,8 @@ class TrackParams:
     start_y: float = 0.0
     start_heading: float = 0.0
     rail_breaks: tuple[float, ...] = ()
+    grades: tuple[GradeChange, ...] = field(default=(), metadata=LATER)
+    curve_resistance: float = field(default=0.0, metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -245,6 +271,95 @@ class BrakeParams:
 
 
 @dataclass(frozen=True)
+class Notch:
+    """A setting of locomotives.
+
+    Attributes
+    ----------
+    time : when it is made, s; 0 holds at the start at once
+    notch : 8 to 1 power, 0 idle, -1 to -8 dynamic brake
+    cars : car numbers of the locomotives it is for; (): all
+    """
+
+    time: float
+    notch: int
+    cars: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class TractionParams:
+    """How locomotives pull and brake.
+
+    Attributes
+    ----------
+    notches : settings in order of their time; idle before the first
+    response_time : from none to the full effort, s
+    cut_time : from the arrival of an emergency at a locomotive to no effort, s
+    keep_dynamic : an emergency leaves the dynamic brake on
+    """
+
+    notches: tuple[Notch, ...] = ()
+    response_time: float = 20.0
+    cut_time: float = 1.0
+    keep_dynamic: bool = False
+
+
+@dataclass(frozen=True)
+class DraftGearParams:
+    """Draft gear along every coupling, both gears of it together (``engine.laws.draft_gear``).
+
+    Attributes
+    ----------
+    on : couplings stretch and shorten; otherwise they are rigid along the train
+    slack : free slack, m
+    preload : N
+    stiffness : of loading, N/m
+    unloading : force on unloading over that on loading; 1: no friction
+    transition : travel from one line to the other, m
+    travel : beyond which the gears are solid, m
+    solid : stiffness added beyond, N/m
+    start : 1 stretched at the start, -1 bunched, 0 in the middle of the slack
+    """
+
+    on: bool = False
+    slack: float = 0.05
+    preload: float = 240e3
+    stiffness: float = 12.85e6
+    unloading: float = 0.2
+    transition: float = 0.005
+    travel: float = 0.15
+    solid: float = 100e6
+    start: float = 1.0
+
+
+@dataclass(frozen=True)
+class WeakCoupling:
+    """A coupling with a strength of its own: ``coupling`` i joins cars i and i + 1; N."""
+
+    coupling: int
+    strength: float
+    part: str = "knuckle"
+
+
+@dataclass(frozen=True)
+class CouplingParams:
+    """What couplings do along the train.
+
+    Attributes
+    ----------
+    gear : draft gear
+    knuckle_strength, body_strength : tension at which the knuckle and the coupler body break, N;
+        0: never
+    weak : couplings with a strength of their own
+    """
+
+    gear: DraftGearParams = field(default_factory=DraftGearParams)
+    knuckle_strength: float = 0.0
+    body_strength: float = 0.0
+    weak: tuple[WeakCoupling, ...] = ()
+
+
+@dataclass(frozen=True)
 class GroundParams:
     """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the load.
 
@@ -295,6 +410,11 @@ class DerailmentParams:
     Attributes
     ----------
     lv_limit : derailment quotient: a truck leaves the rails when ``|lambda| > LV m g / 2``
+    lv_hold : for so long it must be exceeded, s; 0: at once. The 50 ms of AAR's chapter 11 keep
+        out blows that are too short for a wheel to climb
+    guide_strength : force across the track with which rails guide a derailed truck at most, N;
+        0: they do not (``engine.forces.guidance``)
+    guide_stiffness, guide_play : of the rail, N/m; offset from which it guides, m; assumed
     break_follows_lateral : a lateral derailment also breaks the rail there (rail roll-over) [R]
     break_ahead_of_truck : how far ahead of its front truck a break opens "under" a car, m
     knuckle_limit_ee, knuckle_limit_ff, knuckle_limit_ef : coupling angle limits, rad
@@ -306,6 +426,10 @@ class DerailmentParams:
     knuckle_limit_ee: float = 0.90
     knuckle_limit_ff: float = 0.71
     knuckle_limit_ef: float = 0.80
+    lv_hold: float = field(default=0.0, metadata=LATER)
+    guide_strength: float = field(default=0.0, metadata=LATER)
+    guide_stiffness: float = field(default=2e6, metadata=LATER)
+    guide_play: float = field(default=0.6, metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -376,3 +500,5 @@ class TrainParams:
     integration: IntegrationParams = field(default_factory=IntegrationParams)
     variant: VariantParams = field(default_factory=VariantParams, metadata=LATER)
     model: str = field(default=PLANAR, metadata=LATER)
+    traction: TractionParams = field(default_factory=TractionParams, metadata=LATER)
+    couplings: CouplingParams = field(default_factory=CouplingParams, metadata=LATER)

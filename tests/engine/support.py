@@ -12,8 +12,7 @@ import numpy as np
 
 from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.dynamics import project_positions, project_velocities
-from derail_ros.engine.energy import kinetic_energy
-from derail_ros.engine.forces.couplers import coupler_energy
+from derail_ros.engine.energy import stored_energy
 from derail_ros.engine.neighbours import rebuild
 from derail_ros.vocabulary.params import (
     BrakeParams,
@@ -191,9 +190,7 @@ def place(run, q=None, v=None, truck_on=None, coupled=None, remember=False):
         (s.power1, s.power),
     ):
         last[...] = now
-    s.clock["initial_energy"] = kinetic_energy(run._model, s.v) + sum(
-        coupler_energy(run._model, s.coupled, s.q)
-    )
+    s.clock["initial_energy"] = stored_energy(run._model, s, s.q, s.v)
     return run
 
 

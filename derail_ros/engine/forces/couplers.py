@@ -112,8 +112,8 @@ def coupler_energy(model: Model, coupled: U8, q: F64) -> tuple[float, float]:
 def rear_rate(car: Rows, v: F64, wk: Rows, k: int) -> tuple[float, float]:
     """Velocity of the rear face of car ``k``, m/s."""
     return (
-        v[k, 0] + car[k].pivot * wk[k].st * v[k, 2] + car[k].rear * wk[k].sb * v[k, 4],
-        v[k, 1] - car[k].pivot * wk[k].ct * v[k, 2] - car[k].rear * wk[k].cb * v[k, 4],
+        v[k, 0] + car[k].pivot * wk[k].st * v[k, 2] + wk[k].reach * wk[k].sb * v[k, 4],
+        v[k, 1] - car[k].pivot * wk[k].ct * v[k, 2] - wk[k].reach * wk[k].cb * v[k, 4],
     )
 
 
@@ -141,7 +141,7 @@ def coupling_gap(car: Rows, q: F64, wk: Rows, k: int) -> tuple[float, float]:
         q[k, 0]
         - q[k + 1, 0]
         - car[k].pivot * wk[k].ct
-        - car[k].rear * wk[k].cb
+        - wk[k].reach * wk[k].cb
         - car[k + 1].pivot * wk[k + 1].ct
         - car[k + 1].front * wk[k + 1].ca
     )
@@ -149,7 +149,7 @@ def coupling_gap(car: Rows, q: F64, wk: Rows, k: int) -> tuple[float, float]:
         q[k, 1]
         - q[k + 1, 1]
         - car[k].pivot * wk[k].st
-        - car[k].rear * wk[k].sb
+        - wk[k].reach * wk[k].sb
         - car[k + 1].pivot * wk[k + 1].st
         - car[k + 1].front * wk[k + 1].sa
     )
@@ -170,7 +170,7 @@ def coupling_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> No
         if state.coupled[k] == 0:
             continue
         w1 = car[k].pivot * v[k, 2] * v[k, 2]
-        w2 = car[k].rear * v[k, 4] * v[k, 4]
+        w2 = wk[k].reach * v[k, 4] * v[k, 4]
         w3 = car[k + 1].pivot * v[k + 1, 2] * v[k + 1, 2]
         w4 = car[k + 1].front * v[k + 1, 3] * v[k + 1, 3]
         gx = -(w1 * wk[k].ct + w2 * wk[k].cb + w3 * wk[k + 1].ct + w4 * wk[k + 1].ca)
