@@ -37,14 +37,20 @@ from derail_ros.vocabulary.params import (
     Car,
     ContactParams,
     CouplerType,
+    CouplingParams,
     DerailmentParams,
+    DraftGearParams,
+    GradeChange,
     GroundParams,
     InitiationParams,
     IntegrationParams,
     LateralForce,
+    Notch,
     TrackParams,
     TrackSegment,
+    TractionParams,
     TrainParams,
+    WeakCoupling,
 )
 from derail_ros.vocabulary.train import TRAIN_COUNTS, length_over_couplers
 
@@ -91,6 +97,14 @@ DEFAULT_WIDTH = 2.6
 """Width of the body in collisions, m: 0.4 m less than real, which is part of the buffer."""
 
 
+ADHESION = 0.25
+EFFICIENCY = 0.82
+"""Of a locomotive known by its power alone: tractive effort over weight at most, power at the
+rail over that of the engine. Assumed."""
+
+Curve = tuple[tuple[float, float], ...]
+
+
 @dataclass(frozen=True)
 class Block:
     """A block of the consist with nothing left open.
@@ -111,6 +125,9 @@ class Block:
     load : share of the load, 0 to 1; None if not known
     locomotive : it is one
     brake : what was said of the brake, the type's with the block's over it
+    axles : number of axles, where resistance counts them
+    tractive_effort, dynamic_brake : largest effort over speed, (km/h, kN), where locomotives
+        work
     """
 
     count: int
@@ -137,6 +154,10 @@ class Block:
     def coupled_length(self, couplers: dict[str, CouplerType]) -> float:
         """From pulling face to pulling face, m."""
         return couplers[self.front].length + self.pivots + couplers[self.rear].length
+
+    axles: int = 0
+    tractive_effort: Curve = ()
+    dynamic_brake: Curve = ()
 
 
 @dataclass(frozen=True)
@@ -208,6 +229,7 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     _check_brakes(resolved)
     _check_integration(model)
     _check_track(resolved)
+    _check_along(resolved)
     _check_derails(resolved)
     return resolved
 
@@ -352,9 +374,53 @@ def _block(
         load=load,
         locomotive=bool(value("locomotive")),
         brake=brake,
+        **_along(block, kind, mass, model),
     )
     _check_block(result, path, couplers)
     return result
+
+
+def fcalc(mass: float, axles: int, area: float) -> tuple[float, float, float]:
+    """Constants of the resistance ``r0 + r1 v + r2 v^2`` (N, v in m/s) of a car by FCalc.
+
+    FCalc is CN's formula of the AREMA form: 1.65 lb a ton, 18.1 lb an axle, 0.0165 lb a ton and
+    mile/h, 0.0005 lb a square foot and (mile/h)^2. ``mass`` in kg, ``area`` in m^2.
+    """
+    short_tons = mass / 907.185
+    return 7.355 * short_tons + 80.625 * axles, 0.1645 * short_tons, 0.1198 * area
+
+
+def _curve(points: Curve) -> Curve:
+    """Effort over speed in (m/s, N), from (km/h, kN)."""
+    return tuple((speed * KMH, force * 1e3) for speed, force in points)
+
+
+def _along(
+    block: ConsistBlock, kind: CarType | None, mass: float, model: ScenarioModel
+) -> dict[str, Any]:
+    """What a car needs for the forces along the track that are on."""
+
+    def value(key: str) -> Any:
+        return _first(getattr(block, key), getattr(kind, key, None))
+
+    along: dict[str, Any] = {}
+    if model.resistance.law != "none":
+        along["axles"] = _first(value("axles"), model.resistance.axles)
+    if model.traction.notch or model.traction.schedule:
+        effort = value("tractive_effort_kmh_kN")
+        power = kind.power_kW if kind is not None else None
+        known = effort or () if effort or not power else _effort_of_power(power, mass)
+        along["tractive_effort"] = known
+        along["dynamic_brake"] = value("dynamic_brake_kmh_kN") or ()
+    return along
+
+
+def _effort_of_power(power_kW: float, mass: float) -> Curve:
+    """Largest tractive effort over speed of a locomotive of which the power is known."""
+    power, most = EFFICIENCY * power_kW, 1e-3 * ADHESION * mass * GRAVITY
+    speeds = [v for k in range(20) if (v := power / most * 1.15**k) < 100.0]  # m/s
+    points = [(round(v / KMH, 3), round(power / v, 3)) for v in speeds]
+    return ((0.0, points[0][1]), *points)
 
 
 def _lengths(
@@ -603,12 +669,62 @@ def _check_track(resolved: Resolved) -> None:
             raise Refusal(("track", "rail_breaks", i), reason)
 
 
+def _check_along(resolved: Resolved) -> None:
+    """Grades, settings of locomotives and strengths of couplings."""
+    model = resolved.model
+    end = -math.inf
+    for i, change in enumerate(model.track.grades):
+        path: Path = ("track", "grades", i)
+        if change.from_m is None:
+            if i:
+                raise Refusal((*path, "from_m"), "is required for all but the first")
+            continue
+        half = 0.5 * change.vertical_curve_m
+        if change.from_m - half < end:
+            reason = (
+                f"must be {shown(end + half)} m or more, where the vertical curve before it ends"
+            )
+            raise Refusal((*path, "from_m"), reason)
+        end = change.from_m + half
+    traction = model.traction
+    cars = list(resolved.cars())
+    engines = [i for i, car in enumerate(cars, 1) if car.tractive_effort or car.dynamic_brake]
+    given: list[tuple[Path, int]] = [(("traction", "notch"), traction.notch)]
+    before = 0.0
+    for i, spec in enumerate(traction.schedule):
+        path = ("traction", "schedule", i)
+        if spec.time_s < before:
+            raise Refusal((*path, "time_s"), f"must not be before the last, {shown(before)} s")
+        before = spec.time_s
+        for j, number in enumerate(spec.cars):
+            if number not in engines:
+                reason = f"car {number} is no locomotive of the train"
+                raise Refusal((*path, "cars", j), reason)
+        given.append(((*path, "notch"), spec.notch))
+    for path, notch in given:
+        key = "tractive_effort" if notch > 0 else "dynamic_brake"
+        if notch and not any(getattr(car, key) for car in cars):
+            raise Refusal(path, f"no car of the train has {key}_kmh_kN")
+    start = model.train.virtual_from
+    if start is not None and any(number >= start for number in engines):
+        used = traction.notch or traction.schedule
+        if used:
+            raise Refusal(("train", "virtual_from"), "a virtual body holds a locomotive at work")
+    bodies = len(cars) if start is None else start
+    for i, weak in enumerate(model.couplers.weak):
+        if weak.coupling >= bodies:
+            reason = f"there is no coupling {weak.coupling}, the last one is {bodies - 1}"
+            raise Refusal(("couplers", "weak", i, "coupling"), reason)
+
+
 def _check_derails(resolved: Resolved) -> None:
     """Whether anything can leave the rails at all."""
     model = resolved.model
     start = model.initiation
     if start.await_command or start.derailed_trucks:
         return
+    if any(_strengths(model)) or model.couplers.weak:
+        return  # a train that parts
     if any(piece.tangent is None for piece in model.track.alignment):
         return  # a curve may overturn the rail without further help
     bodies = placed_bodies(resolved)
@@ -771,6 +887,33 @@ def derailed_trucks(model: ScenarioModel) -> tuple[tuple[int, str], ...]:
     return tuple(sorted(trucks))
 
 
+def _strengths(model: ScenarioModel) -> tuple[float | None, float | None]:
+    return model.couplers.knuckle_strength_N, model.couplers.body_strength_N
+
+
+STARTS = {"stretched": 1.0, "middle": 0.0, "bunched": -1.0}
+
+
+def _couplings(model: ScenarioModel) -> CouplingParams:
+    """What couplings do along the train."""
+    gear = DraftGearParams()
+    if (given := model.couplers.draft_gear) is not None:
+        gear = DraftGearParams(
+            on=True, start=STARTS[given.start], **to_engine(given, DraftGearParams)
+        )
+    knuckle, body = (value or 0.0 for value in _strengths(model))
+    weak = (WeakCoupling(w.coupling, w.strength_N, w.part) for w in model.couplers.weak)
+    return CouplingParams(gear, knuckle, body, tuple(weak))
+
+
+def _traction(model: ScenarioModel) -> TractionParams:
+    """Settings of the locomotives."""
+    traction = model.traction
+    notches = [Notch(0.0, traction.notch)] if traction.notch else []
+    notches += [Notch(n.time_s, n.notch, n.cars) for n in traction.schedule]
+    return TractionParams(tuple(notches), **to_engine(traction, TractionParams))
+
+
 def train_params(resolved: Resolved) -> TrainParams:
     """The engine's parameters (SI units) of a resolved scenario."""
     model = resolved.model
@@ -786,6 +929,12 @@ def train_params(resolved: Resolved) -> TrainParams:
         track=TrackParams(
             segments=tuple(_segments(model.track.alignment)),
             rail_breaks=rail_breaks(resolved),
+            grades=tuple(
+                GradeChange(
+                    _first(g.from_m, -math.inf), 0.01 * g.grade_percent, g.vertical_curve_m
+                )
+                for g in model.track.grades
+            ),
             **to_engine(model.track, TrackParams),
         ),
         brakes=BrakeParams(
@@ -798,6 +947,8 @@ def train_params(resolved: Resolved) -> TrainParams:
         derailment=_copy(model.derailment, DerailmentParams),
         integration=_copy(model.integration, IntegrationParams),
         model=model.model,
+        traction=_traction(model),
+        couplings=_couplings(model),
     )
 
 
@@ -838,10 +989,14 @@ def _triggers(model: ScenarioModel) -> tuple[BrakeTrigger, ...]:
 def _cars(resolved: Resolved) -> tuple[Car, ...]:
     """Bodies of the train; the last one may stand for several cars."""
     brakes = resolved.model.brakes
+    resistance = resolved.model.resistance
     cars = []
     for distance, block in _distances(resolved):
         counts = block.load is not None and not block.locomotive
         unit = _brake_unit(block, distance, brakes)
+        level = (0.0, 0.0, 0.0)
+        if resistance.law == "fcalc":
+            level = fcalc(block.mass, block.axles, resistance.area_m2)
         cars.append(
             Car(
                 mass=block.mass,
@@ -859,6 +1014,9 @@ def _cars(resolved: Resolved) -> tuple[Car, ...]:
                 locomotives=int(block.locomotive),
                 loads=int(counts and block.load >= LEAST_LOAD),  # type: ignore[operator]
                 empties=int(counts and block.load < LEAST_LOAD),  # type: ignore[operator]
+                resistance=level,
+                tractive_effort=_curve(block.tractive_effort),
+                dynamic_brake=_curve(block.dynamic_brake),
             )
         )
     start = resolved.model.train.virtual_from
@@ -882,6 +1040,7 @@ def _virtual_body(cars: list[Car]) -> Car:
         coupler_inertia=first.coupler_inertia,
         brakes=tuple(unit for car in cars for unit in car.brakes),
         represents=len(cars),
+        resistance=tuple(map(math.fsum, zip(*(car.resistance for car in cars)))),  # type: ignore[arg-type]
         name=f"{len(cars)} virtual cars",
         **{key: sum(getattr(car, key) for car in cars) for key in TRAIN_COUNTS},
         coupled_length=math.fsum(length_over_couplers(car) for car in cars),

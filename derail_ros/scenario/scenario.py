@@ -623,11 +623,17 @@ def _scale_inertia(
 # --- writing ----------------------------------------------------------------------------------
 
 
+WITH_LATER = ("brakes", "track", "couplers", "derailment")
+"""Sections with fields that came later than the first version of the format."""
+
+
 def _resolved_data(resolved: Resolved) -> dict[str, Any]:
     data: dict[str, Any] = resolved.model.model_dump(mode="json")
     if data["model"] == PLANAR:  # came later: the hashes of older scenarios stay what they were
         del data["model"]
-    for section, plain in ((resolved.model, data), (resolved.model.brakes, data["brakes"])):
+    later_ones = {key: getattr(resolved.model, key) for key in WITH_LATER}
+    for key, section in {"": resolved.model, **later_ones}.items():
+        plain = data[key] if key else data
         for name, info in type(section).model_fields.items():
             extra = info.json_schema_extra
             later = isinstance(extra, dict) and extra.get("later")
@@ -691,7 +697,18 @@ def _block_data(block: Block) -> dict[str, Any]:
             **{k: v for k, v in list(block.brake)[3:] if v is not None},
         },
         **({"locomotive": True} if block.locomotive else {}),
+        **_along(block),
     }
+
+
+def _along(block: Block) -> dict[str, Any]:
+    """What a car needs for the forces along the track."""
+    curves = {
+        "tractive_effort_kmh_kN": block.tractive_effort,
+        "dynamic_brake_kmh_kN": block.dynamic_brake,
+    }
+    told: dict[str, Any] = {key: [[*point] for point in c] for key, c in curves.items() if c}
+    return {**told, **({"axles": block.axles} if block.axles else {})}
 
 
 def _compact(data: dict[str, Any]) -> dict[str, Any]:

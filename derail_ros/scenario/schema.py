@@ -31,11 +31,13 @@ from derail_ros.vocabulary.params import (
     Car,
     ContactParams,
     DerailmentParams,
+    DraftGearParams,
     GroundParams,
     InitiationParams,
     IntegrationParams,
     LateralForce,
     TrackParams,
+    TractionParams,
 )
 
 FORMAT_VERSION = 1
@@ -61,6 +63,7 @@ TypeName = Annotated[
 ]
 FileName = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/\\\x00-\x1f]{1,200}$")]
 Sha256 = Annotated[str, StringConstraints(strict=True, pattern=r"^[0-9a-f]{64}$")]
+Notches = Annotated[int, Field(strict=True, ge=-8, le=8)]
 Shoe = Literal["composition", "cast_iron", "none"]
 Turn = Literal["left", "right"]
 
@@ -245,7 +248,13 @@ class CarType(Section):
         None, "m", "width over all, for the record: the model uses width_m", gt=0, le=10
     )
     axles: Integer | None = _field(None, "1", "number of axles, for the record", ge=2, le=24)
-    power_kW: Number | None = _field(None, "kW", "power, for the record", ge=0, le=20000)
+    power_kW: Number | None = _field(
+        None,
+        "kW",
+        "power; of a locomotive without tractive_effort_kmh_kN the effort follows from it",
+        ge=0,
+        le=20000,
+    )
     tractive_effort_kmh_kN: tuple[CurvePoint, ...] = _field(
         (), "km/h, kN", "largest tractive effort over speed, straight between the points"
     )
@@ -335,6 +344,13 @@ class ConsistBlock(Section):
     )
     brake: BrakeSpec = _field(BrakeSpec(), "", "brake of each of these cars")
     locomotive: Switch | None = _field(None, "", "whether it is a locomotive; its type says")
+    axles: Integer | None = _field(None, "1", "axles, for the resistance", ge=2, le=24)
+    tractive_effort_kmh_kN: tuple[CurvePoint, ...] | None = _field(
+        None, "km/h, kN", "largest tractive effort over speed; its type's unless given"
+    )
+    dynamic_brake_kmh_kN: tuple[CurvePoint, ...] | None = _field(
+        None, "km/h, kN", "largest effort of the dynamic brake; its type's unless given"
+    )
 
 
 # --- sections ---------------------------------------------------------------------------------
@@ -364,6 +380,44 @@ class Train(Section):
     )
 
 
+class DraftGear(Section):
+    """Draft gear along every coupling: both gears of it together."""
+
+    slack_m: Number = _engine(DraftGearParams, "slack", "m", "free slack", ge=0, le=1)
+    preload_N: Number = _engine(DraftGearParams, "preload", "N", "preload", ge=0, le=1e7)
+    stiffness_N_per_m: Number = _engine(
+        DraftGearParams, "stiffness", "N/m", "stiffness of loading", gt=0, le=1e10
+    )
+    unloading: Number = _engine(
+        DraftGearParams,
+        "unloading",
+        "1",
+        "force on unloading over that on loading; 1: no friction",
+        ge=0,
+        le=1,
+    )
+    transition_m: Number = _engine(
+        DraftGearParams, "transition", "m", "travel from one to the other", gt=0, le=1
+    )
+    travel_m: Number = _engine(
+        DraftGearParams, "travel", "m", "travel at which the gears are solid", ge=0, le=10
+    )
+    solid_N_per_m: Number = _engine(
+        DraftGearParams, "solid", "N/m", "stiffness that is added beyond", ge=0, le=1e11
+    )
+    start: Literal["stretched", "middle", "bunched"] = _field(
+        "stretched", "", "where the couplings stand in their slack at the start"
+    )
+
+
+class WeakCouplingSpec(Section):
+    """A coupling with a strength of its own."""
+
+    coupling: CarNumber = _field(..., "1", "its number: i joins cars i and i + 1")
+    strength_N: Number = _field(..., "N", "tension at which it breaks", gt=0, le=1e9)
+    part: Literal["knuckle", "body"] = _field("knuckle", "", "what breaks")
+
+
 class Couplers(Section):
     """Values for all couplers, and coupler types of this scenario."""
 
@@ -384,6 +438,28 @@ class Couplers(Section):
         "inertia of each coupler; ten times a real one, as in the published runs",
         gt=0,
         le=1e7,
+    )
+    draft_gear: DraftGear | None = _field(
+        None, "", "slack and draft gear along the train; null: rigid along the train", later=True
+    )
+    knuckle_strength_N: Number | None = _field(
+        None,
+        "N",
+        "tension at which knuckles break; AAR M-211: 2.89e6 in the static test; null: never",
+        later=True,
+        gt=0,
+        le=1e9,
+    )
+    body_strength_N: Number | None = _field(
+        None,
+        "N",
+        "tension at which coupler bodies break; AAR M-211: 4.0e6 ultimate; null: never",
+        later=True,
+        gt=0,
+        le=1e9,
+    )
+    weak: tuple[WeakCouplingSpec, ...] = _field(
+        (), "", "couplings that break earlier", max_length=MAX_CARS, later=True
     )
     types: dict[TypeName, CouplerSpec] = _field(
         {}, "", "new coupler types, or changes to those of the library"
@@ -417,6 +493,23 @@ class Spiral(Section):
     turn: Turn = _field(..., "", "left or right")
 
 
+class GradeSpec(Section):
+    """Where the grade of the track changes."""
+
+    from_m: Number | None = _field(
+        None,
+        "m",
+        "track coordinate from which it holds, the middle of the vertical curve; null, for the "
+        "first one only: from the beginning",
+    )
+    grade_percent: Number = _field(
+        ..., "%", "rise over run, positive uphill in the direction of travel", ge=-15, le=15
+    )
+    vertical_curve_m: Number = _field(
+        30.0, "m", "length over which the grade changes evenly", gt=0, le=1e4
+    )
+
+
 class Piece(Section):
     """A piece of the alignment: exactly one of the three."""
 
@@ -442,6 +535,22 @@ class TrackSection(Section):
     start_y_m: Number = _engine(TrackParams, "start_y", "m", "y where the alignment begins")
     start_heading_rad: Number = _engine(
         TrackParams, "start_heading", "rad", "direction in which it begins, CCW from +X"
+    )
+    grades: tuple[GradeSpec, ...] = _field(
+        (),
+        "",
+        "changes of the grade in order of travel; level before the first",
+        max_length=1000,
+        later=True,
+    )
+    curve_resistance_m2_per_s2: Number = _engine(
+        TrackParams,
+        "curve_resistance",
+        "m2/s2",
+        "resistance in curves, times radius over mass; 7 is 0.8 lb a ton and degree",
+        later=True,
+        ge=0,
+        le=100,
     )
     rail_breaks: tuple[Number, ...] = _field(
         (), "m", "track coordinates of the breaks present at the start", max_length=100
@@ -619,6 +728,49 @@ class Brakes(Section):
     )
 
 
+class NotchSpec(Section):
+    """A setting of locomotives."""
+
+    time_s: Number = _field(..., "s", "when it is made", ge=0, le=1e5)
+    notch: Notches = _field(..., "1", "8 to 1 power, 0 idle, -1 to -8 dynamic brake")
+    cars: tuple[CarNumber, ...] = _field(
+        (), "1", "car numbers of the locomotives; none: all of them", max_length=100
+    )
+
+
+class Traction(Section):
+    """How the locomotives of the train pull and brake."""
+
+    notch: Notches = _field(0, "1", "at the start: 8 to 1 power, 0 idle, -1 to -8 dynamic brake")
+    schedule: tuple[NotchSpec, ...] = _field(
+        (), "", "later settings in order of their time", max_length=1000
+    )
+    response_time_s: Number = _engine(
+        TractionParams, "response_time", "s", "from none to the full effort", gt=0, le=600
+    )
+    cut_time_s: Number = _engine(
+        TractionParams,
+        "cut_time",
+        "s",
+        "from the arrival of an emergency at a locomotive to no effort",
+        gt=0,
+        le=600,
+    )
+    keep_dynamic: Switch = _engine(
+        TractionParams, "keep_dynamic", "", "an emergency leaves the dynamic brake on"
+    )
+
+
+class Resistance(Section):
+    """Rolling and air resistance of cars on the rails."""
+
+    law: Literal["none", "fcalc"] = _field(
+        "none", "", "none, or fcalc: 8.108e-3 m + 80.625 n + 1.8133e-4 m v + 0.1198 A v^2 (N)"
+    )
+    axles: Integer = _field(4, "1", "axles n of cars whose type does not say", ge=2, le=24)
+    area_m2: Number = _field(10.0, "m2", "frontal area A", ge=0, le=100)
+
+
 class Ground(Section):
     """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the weight."""
 
@@ -682,6 +834,42 @@ class Derailment(Section):
         "derailment quotient: a truck leaves the rails above this lateral over vertical force",
         gt=0,
         le=1e6,
+    )
+    lv_hold_s: Number = _engine(
+        DerailmentParams,
+        "lv_hold",
+        "s",
+        "for so long lv_limit must be exceeded; 0: at once",
+        later=True,
+        ge=0,
+        le=10,
+    )
+    guide_strength_N: Number = _engine(
+        DerailmentParams,
+        "guide_strength",
+        "N",
+        "force across the track with which rails guide a derailed truck at most; 0: none",
+        later=True,
+        ge=0,
+        le=1e8,
+    )
+    guide_stiffness_N_per_m: Number = _engine(
+        DerailmentParams,
+        "guide_stiffness",
+        "N/m",
+        "stiffness of such a rail",
+        later=True,
+        gt=0,
+        le=1e10,
+    )
+    guide_play_m: Number = _engine(
+        DerailmentParams,
+        "guide_play",
+        "m",
+        "offset from the centre line from which it guides",
+        later=True,
+        ge=0,
+        le=5,
     )
     break_follows_lateral: Switch = _engine(
         DerailmentParams,
@@ -826,6 +1014,8 @@ class ScenarioModel(Section):
     track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")
     initiation: Initiation = _field(Initiation(), "", "how the derailment starts")
     brakes: Brakes = _field(Brakes(), "", "brakes and their application")
+    traction: Traction = _field(Traction(), "", "how the locomotives pull and brake", later=True)
+    resistance: Resistance = _field(Resistance(), "", "rolling and air resistance", later=True)
     ground: Ground = _field(Ground(), "", "reaction of the ground on derailed trucks and bodies")
     contact: Contact = _field(Contact(), "", "collisions between cars")
     derailment: Derailment = _field(

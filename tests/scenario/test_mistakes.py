@@ -153,6 +153,30 @@ CASES = {
     ),
     "too many cars in a block": ("count: 2", "count: 1001", 6, "train.consist.0.count", "1000"),
     "nothing to derail": ("[30]", "[]", 1, "initiation", "nothing to derail"),
+    "no locomotive": ("", "traction: {notch: 3}", END, "traction.notch", "no car of the train"),
+    "notch": ("", "traction: {notch: 9}", END, "traction.notch", "must be at most 8, got 9"),
+    "a car that does not pull": (
+        "", "traction:\n  schedule: [{time_s: 1, notch: 0, cars: [2]}]", END + 1,
+        "traction.schedule.0.cars.0", "car 2 is no locomotive of the train"),
+    "later before earlier": (
+        "", "traction:\n  schedule: [{time_s: 2, notch: 0}, {time_s: 1, notch: 0}]", END + 1,
+        "traction.schedule.1.time_s", "must not be before the last, 2 s"),
+    "second grade without a place": (
+        "[30]", "[30]\n  grades: [{grade_percent: 1}, {grade_percent: 2}]", 14,
+        "track.grades.1.from_m", "is required for all but the first"),
+    "vertical curves on each other": (
+        "[30]", "[30]\n  grades: [{from_m: 0, grade_percent: 1}, {from_m: 10, grade_percent: 2}]",
+        14, "track.grades.1.from_m", "must be 30 m or more"),
+    "steep": ("[30]", "[30]\n  grades: [{grade_percent: 40}]", 14,
+              "track.grades.0.grade_percent", "at most 15"),
+    "law of resistance": (
+        "", "resistance: {law: davis}", END, "resistance.law", "must be 'none' or 'fcalc'"),
+    "weak coupling that is not there": (
+        "", "couplers: {weak: [{coupling: 3, strength_N: 1e6}]}", END,
+        "couplers.weak.0.coupling", "there is no coupling 3, the last one is 2"),
+    "unloading above loading": (
+        "", "couplers: {draft_gear: {unloading: 1.5}}", END, "couplers.draft_gear.unloading",
+        "at most 1"),
     "break behind the train": ("[30]", "[-100]", 1, "initiation", "nothing to derail"),
     "virtual body from the first car": (
         "60",

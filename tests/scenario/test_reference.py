@@ -36,7 +36,7 @@ def test_examples_of_the_page_load():
     blocks = PAGE.read_text(encoding="utf-8").split("```yaml\n")[1:]
     texts = [block.partition("```")[0] for block in blocks]
     whole = "version: 1\ntitle: x\ntrain:\n  speed_kmh: 60\n  consist: [{car: box_car}]\n"
-    assert len(texts) == 5
+    assert len(texts) == 6
     for text in texts:
         if "version" not in text:
             section = text.partition(":")[0]
@@ -68,7 +68,8 @@ def test_units_are_in_the_names():
         "m": "_m", "kg": "_kg", "kg m2": "_kg_m2", "N": "_N", "N/m": "_N_per_m", "s": "_s",
         "m/s": "_m_per_s", "km/h": "_kmh", "rad": "_rad", "rad/s": "_rad_per_s", "s/m": "_s_per_m",
         "s2/m2": "_s2_per_m2", "1/s": "_per_s", "1/s2": "_per_s2", "N s/m": "_N_s_per_m",
-        "kW": "_kW", "deg": "_deg", "km/h, kN": "_kmh_kN", "1": "", "": "",
+        "kW": "_kW", "deg": "_deg", "m2": "_m2",
+        "m2/s2": "_m2_per_s2", "%": "_percent", "km/h, kN": "_kmh_kN", "1": "", "": "",
     }  # fmt: skip
     for model in models():
         for name, info in model.model_fields.items():
@@ -84,7 +85,9 @@ def test_every_parameter_of_the_engine_can_be_set():
     }
     # these have no single field: they are made of several, or counted
     made = {
-        "TrackParams": {"segments", "rail_breaks"},
+        "TrackParams": {"segments", "rail_breaks", "grades"},
+        "TractionParams": {"notches"},
+        "DraftGearParams": {"on", "start"},
         "InitiationParams": {"speed", "derailed_trucks", "parted_couplings", "lateral_forces"},
         "BrakeParams": {"triggers", "remote"},
         "BrakeTrigger": {"car", "mode"},
