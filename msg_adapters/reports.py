@@ -14,7 +14,7 @@ import numpy as np
 
 from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.measures import MEASURES, TEXT
-from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.outcome import PARTED_CAUSES, Outcome, Parted
 from derail_ros.vocabulary.params import DerailmentParams, TrainParams
 from derail_ros.vocabulary.status import STATUSES
 from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals, length_over_couplers
@@ -128,6 +128,11 @@ def track_coordinates(track: Any, truck_coordinate: NDArray[np.float64]) -> NDAr
     return np.linspace(start, end, points)
 
 
+def _height(line: Any, s: float) -> tuple[float, float]:
+    """Height (m) and grade at a track coordinate; an engine may know of none."""
+    return line.height(s) if hasattr(line, "height") else (0.0, 0.0)
+
+
 def track(
     line: Any,
     coordinates: NDArray[np.float64],
@@ -140,6 +145,7 @@ def track(
     ``breaks`` are pairs of track coordinate (m) and the run time at which each opened (s).
     """
     points = np.array([line.point(float(s)) for s in coordinates], dtype=np.float64)
+    heights = np.array([_height(line, float(s)) for s in coordinates], dtype=np.float64)
     points = np.ascontiguousarray(points.reshape(-1, 4).T)
     places = np.array([line.point(s)[:2] for s, _ in breaks], dtype=np.float64)
     places = np.ascontiguousarray(places.reshape(-1, 2).T)
@@ -151,8 +157,8 @@ def track(
         y=points[1],
         heading=points[2],
         curvature=points[3],
-        z=np.zeros(len(coordinates)),
-        grade=np.zeros(len(coordinates)),
+        z=np.ascontiguousarray(heights[:, 0]),
+        grade=np.ascontiguousarray(heights[:, 1]),
         rail_break_coordinate=np.array([s for s, _ in breaks], dtype=np.float64),
         rail_break_x=places[0],
         rail_break_y=places[1],
@@ -309,6 +315,29 @@ def measure_value(kind: str, value: Any) -> list[float]:
     return [float(v) for v in (value if isinstance(value, (list, tuple)) else [value])]
 
 
+_PARTED = ("parted_time_s", "parted_cause", "parted_force_N")
+
+
+def _parted(result: Outcome) -> dict[str, NDArray[np.float64]]:
+    """When, why (a number of ``PARTED_CAUSES``) and at what force couplings parted, else nan."""
+    rows = np.full((len(_PARTED), len(result.pose) - 1), math.nan)
+    for p in result.parted:
+        cause = PARTED_CAUSES.index(p.cause) if p.cause in PARTED_CAUSES else math.nan
+        rows[:, p.coupling - 1] = p.time, cause, p.force
+    return dict(zip(_PARTED, rows, strict=True))
+
+
+def _told_parted(behind: Mapping[str, NDArray[np.float64]]) -> tuple[Parted, ...]:
+    """The inverse of :func:`_parted`."""
+    rows = zip(*(behind.get(key, np.zeros(0)).tolist() for key in _PARTED), strict=True)
+    found = [
+        Parted(k, time, PARTED_CAUSES[int(cause)] if math.isfinite(cause) else "", force)
+        for k, (time, cause, force) in enumerate(rows, 1)
+        if math.isfinite(time)
+    ]
+    return tuple(sorted(found, key=lambda p: p.time))
+
+
 def outcome_fields(result: Outcome) -> dict[str, Any]:
     """What the message of an outcome says of it."""
     # Nothing is sent for what does not exist, nor for a list without cars: Fast CDR puts bytes
@@ -321,6 +350,9 @@ def outcome_fields(result: Outcome) -> dict[str, Any]:
     cars = [quantity(key, getattr(result, name)) for key, name in CAR_VALUES.items()]
     cars += [quantity(key, result.pose[:, k]) for key, k in POSE.items()]
     cars += [quantity(key, values) for key, values in result.car_values.items()]
+    # of the coupling behind each car: none behind the last one
+    behind = {**result.couplings, **_parted(result)} if result.couplings else {}
+    cars += [quantity(f"behind_{key}", [*v, math.nan]) for key, v in behind.items()]
     return {
         "status": STATUSES[result.status].number,
         "status_name": result.status,
@@ -370,6 +402,7 @@ def outcome_from_message(message: Any) -> Outcome:
         number("end_time_s"),
         int(message.step),
     )
+    behind = {k[7:]: cars.pop(k)[:-1] for k in list(cars) if k.startswith("behind_")}
     known = {name: cars[key] for key, name in CAR_VALUES.items() if key in cars}
     known["car_peak_other"] = known["car_peak_other"].astype(np.int64)
     return dataclasses.replace(
@@ -396,6 +429,8 @@ def outcome_from_message(message: Any) -> Outcome:
             length=number("train_length_m"),
             mass=number("train_mass_kg"),
         ),
+        couplings={k: v for k, v in behind.items() if k not in _PARTED},
+        parted=_told_parted(behind),
         values={key: values[0] for key, values in told.items() if len(values) == 1},
         car_values={k: v for k, v in cars.items() if k not in CAR_VALUES and k not in POSE},
         **known,

@@ -53,7 +53,7 @@ def members(
     found = {}  # records and not outcomes: there may be thousands
     with closing(run_many(runs, jobs=jobs, task=task)) as results:
         for result in results:
-            found[result.job.member] = record_of(result)
+            found[result.job.member] = record_of(result, whole=True)
             tell()
     return [found[member] for member in sorted(found)]
 

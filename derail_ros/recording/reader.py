@@ -24,7 +24,7 @@ from derail_ros.recording.recorded_run import Cars, RecordedRun, SampledLine
 from derail_ros.recording.run_messages import REPORTS, STATES, Collector, RunMessages
 from derail_ros.recording.storage import OtherTopicsError, RawBag, open_bag
 from derail_ros.vocabulary.events import Event
-from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.outcome import Outcome, parted_couplings
 from derail_ros.vocabulary.words import count
 from msg_adapters.common import NANOSECONDS
 
@@ -202,7 +202,11 @@ class _Reader:
                     "the recording ends before the run: the outcome is that at"
                     f" {outcome.time:.2f} s, the last recorded moment"
                 )
-        outcome = replace(outcome, train=cars.totals)
+        outcome = replace(
+            outcome,
+            train=cars.totals,
+            parted=outcome.parted or parted_couplings(run.events),
+        )
         return replace(run, outcome=outcome, warnings=tuple(bag.warnings))
 
     def _coupled(

@@ -190,9 +190,55 @@ def peak_forces(outcome: Outcome, title: str = "") -> Figure:
     return figure
 
 
+# Forces in the train -----------------------------------------------------------------------
+
+DRAFT, BUFF = (BLUE, "largest draft (tension)"), ("#e69f00", "largest buff (compression)")
+
+
+@styled
+def in_train_forces(outcome: Outcome, title: str = "") -> Figure:
+    """Draw the largest draft and buff force of each coupling over the train."""
+    draft = np.nan_to_num(outcome.couplings["max_draft_N"]) * 1e-6
+    buff = np.nan_to_num(outcome.couplings["max_buff_N"]) * 1e-6
+    numbers = np.arange(1, len(draft) + 1)
+    figure = drawing.sheet(WIDTH, 4.3)
+    axes = drawing.place(figure, 0.75, 0.95, WIDTH - 1.1, 2.75)
+    drawing.dress(axes, grid="y")
+    axes.axhline(0.0, color=INK, lw=0.8, zorder=4)
+    handles: list[Any] = []
+    for values, sign, (fill, name) in ((draft, 1.0, DRAFT), (buff, -1.0, BUFF)):
+        axes.bar(numbers, sign * values, width=0.84, color=fill, zorder=3)
+        handles.append(hatched(name, fill, "", lw=0.0))
+    parted = [p.coupling for p in outcome.parted]
+    if parted:
+        cross: dict[str, Any] = {"ls": "", "marker": "x", "ms": 7, "mew": 1.6, "color": INK}
+        axes.plot(parted, np.zeros(len(parted)), zorder=6, **cross)
+        handles.append(mark("parted", **cross))
+    axes.set_xlim(0.3, len(draft) + 0.7)
+    most = max(draft.max(initial=0.1), buff.max(initial=0.1))
+    axes.set_ylim(-1.15 * max(buff.max(initial=0.0), 0.1 * most),
+                  1.15 * max(draft.max(initial=0.0), 0.1 * most))  # fmt: skip
+    axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
+    axes.set_xlabel("coupling (behind the car of that number)")
+    axes.set_ylabel("force, MN")
+    parts = []
+    for which in ("draft", "buff"):
+        force, coupling, time = outcome.largest(which)
+        if coupling:
+            parts.append(f"{which} {force * 1e-6:.2f} MN in coupling {coupling} at {time:.1f} s")
+    note = f"Largest: {'; '.join(parts)}." if parts else "No coupling carried a force."
+    drawing.legend_above(axes, handles, 3)
+    heading = f"{title}: forces in the train" if title else "Forces in the train"
+    drawing.heading(figure, heading, note, left=0.75)
+    return figure
+
+
 def save_outcome(scene: Scene, outcome: Outcome, folder: Path) -> list[Path]:
-    """Write the figures of every run: the final scene and the peak forces."""
-    return [
-        drawing.save(final_scene(scene), folder / "final_scene.png"),
-        drawing.save(peak_forces(outcome, scene.title), folder / "peak_forces.png"),
-    ]
+    """Write the figures of every run: final scene, peak forces, forces in the train."""
+    figures = {
+        "final_scene": final_scene(scene),
+        "peak_forces": peak_forces(outcome, scene.title),
+    }
+    if outcome.couplings and len(outcome.couplings["max_draft_N"]):
+        figures["in_train_forces"] = in_train_forces(outcome, scene.title)
+    return [drawing.save(drawn, folder / f"{name}.png") for name, drawn in figures.items()]

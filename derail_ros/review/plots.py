@@ -34,7 +34,14 @@ from derail_ros.review.scene import scene_at
 from derail_ros.review.summary import NOTABLE, by_severity
 from derail_ros.vocabulary import words
 from derail_ros.vocabulary.events import EventKind
-from derail_ros.vocabulary.ledger import ENERGY_ENTRIES, NO_ENERGY, PUT, entries, percentages
+from derail_ros.vocabulary.ledger import (
+    ENERGY_ENTRIES,
+    NO_ENERGY,
+    PUT,
+    available,
+    entries,
+    percentages,
+)
 from derail_ros.vocabulary.status import RUPTURE_FORCE
 
 if TYPE_CHECKING:
@@ -275,6 +282,7 @@ def energy_parts(energy: dict[str, NDArray], shown: Sequence[str]) -> list[tuple
     parts = [("kinetic", energy["kinetic"])]
     parts += [(entry, np.maximum(energy.get(entry, zero), 0.0)) for entry in shown]
     came = sum((energy.get(e.key, zero) for e in entries(PUT)), energy["initial"])
+    came = came - np.minimum(energy.get("potential", zero), 0.0)
     rest = came - sum(values for _, values in parts)
     return [*parts, ("", np.maximum(rest, 0.0))]
 
@@ -284,10 +292,12 @@ def energy_over_time(run: RecordedRun) -> Figure | None:
     """Draw where the energy has gone, over time; None without a ledger."""
     if not run.energy:
         return None
-    initial = float(run.energy["initial"][0])
+    initial = available(run.ledger())
     unit, size = ("GJ", 1e9) if initial >= 1e9 else ("MJ", 1e6)
     title = f"{run.title}: what stopped the train"
-    note = f"Where the {words.energy(initial)} at the start went, over time."
+    note = f"Where the {words.energy(initial)} went that there was, over time."
+    if initial == run.energy["initial"][0]:
+        note = f"Where the {words.energy(initial)} at the start went, over time."
     figure, axes = _sheet(5.2, 2.75, title, note)
     time = run.energy_time
     parts = energy_parts(dict(run.energy), list(ENERGY_LOOK))

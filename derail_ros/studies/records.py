@@ -215,12 +215,20 @@ def _nest(flat: Mapping[str, float | None]) -> Record:
     return nested
 
 
-def record_of(result: JobResult) -> Record:
-    """The record of a job whose value is an outcome, or a record itself."""
+def record_of(result: JobResult, whole: bool = False) -> Record:
+    """The record of a job whose value is an outcome, or a record itself.
+
+    Without the forces of each coupling unless it shall be ``whole``: there may be thousands.
+    """
     if result.error is not None:
         return failed_record(result.error, result.wall_s)
     value: Any = result.value
-    return value if isinstance(value, dict) else outcome_record(value, result.wall_s)
+    if isinstance(value, dict):
+        return value
+    record = outcome_record(value, result.wall_s)
+    if not whole:
+        record["in_train"].pop("couplings")
+    return record
 
 
 def ensembles(runs: Iterable[Job], **how: Any) -> dict[Any, Ensemble]:

@@ -49,6 +49,15 @@ def test_one_run_as_json(derail, small):
     )
     assert not outcome["void"]
     assert answer.json["mean"]["cars_derailed"] == outcome["cars_derailed"]
+    train = outcome["in_train"]
+    assert [row["coupling"] for row in train["couplings"]] == list(
+        range(1, len(train["couplings"]) + 1)
+    )
+    for way in ("draft", "buff"):
+        most = max(row[f"max_{way}_N"] for row in train["couplings"])
+        assert train[f"max_{way}_N"] == outcome[f"max_{way}_N"] == (most or None)
+    assert all(row["cause"] == "angle" for row in outcome["parted"])
+    assert "couplings" not in answer.json["mean"].get("in_train", {})
     assert answer.json["sd"]["cars_derailed"] is None
     assert answer.json["void"] == 0
     assert answer.json["failed"] == 0
