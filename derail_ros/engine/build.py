@@ -523,9 +523,10 @@ def _shares(traction: TractionParams, number: int) -> list[tuple[float, float]]:
         if notch.time == 0.0:
             points = [(0.0, notch.notch / 8.0)]
         else:
-            share = np.interp(notch.time, *zip(*points))
+            times, shares = ([point[k] for point in points] for k in (0, 1))
+            share = float(np.interp(notch.time, times, shares))
             points = [point for point in points if point[0] < notch.time]
-            points.append((notch.time, float(share)))
+            points.append((notch.time, share))
             reached = notch.time + abs(notch.notch / 8.0 - share) * traction.response_time
             if reached > notch.time:
                 points.append((reached, notch.notch / 8.0))

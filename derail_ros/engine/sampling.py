@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.forces.draft_gear import gear_energy
 from derail_ros.engine.interpolation import interpolate, interpolate_energy
 from derail_ros.engine.solver import plain_masses
-from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ConstraintError
 from derail_ros.vocabulary.ledger import residual
 from derail_ros.vocabulary.sample import Sample, planar
@@ -78,7 +77,7 @@ def all_active(state: State, work: Work) -> None:
     work.active[1 : 1 + count] = np.arange(count)
 
 
-def raised(track: Track, pose: F64, truck_s: F64, velocity: F64 | None = None) -> F64:
+def raised(track: Any, pose: F64, truck_s: F64, velocity: F64 | None = None) -> F64:
     """The pose of cars on the grades of their track: height (m) and pitch (rad).
 
     Adds the vertical velocity (m/s) to ``velocity``.
