@@ -40,7 +40,7 @@ def test_simulate_with_every_model(derail, model):
     outcome = answer.json["outcomes"][0]
     assert outcome["cars_derailed"] > 0
     assert answer.json["model"] == model
-    assert list(outcome) == [*MEASURES, "energy_J", "train", "in_train", "parted", "wall_s"]
+    assert list(outcome) == [*MEASURES, "train", "energy_J", "in_train", "parted", "wall_s"]
     assert list(answer.json) == KEYS
 
 
