@@ -11,6 +11,7 @@ where the force jumps.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, Rows, State, Work
@@ -90,7 +91,7 @@ def clear(pair: Rows, p: int) -> None:
 
 
 @inner_jit
-def _bell(par: Rows, gap: float) -> float:
+def _bell(par: Any, gap: float) -> float:
     """The gap law of the run, N."""
     return gap_force(
         gap, par.force_max, par.half_distance, par.buffer, int(par.gap_law), int(par.even_inside)
