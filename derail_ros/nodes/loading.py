@@ -13,7 +13,7 @@ from derail_ros.scenario import Scenario, ScenarioError, load_scenario_by_name, 
 from derail_ros.vocabulary.errors import DerailError
 
 MAX_CARS = 1000
-MAX_YAML = 256 * 1024
+MAX_YAML = 512 * 1024
 """Bytes of a scenario that a client sends."""
 
 
@@ -34,7 +34,7 @@ def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
     if bool(name) == bool(text):
         raise ValueError("give either scenario_name or scenario_yaml")
     if len(text.encode()) > MAX_YAML:
-        raise ValueError("scenario_yaml is over 256 KB")
+        raise ValueError("scenario_yaml is over 512 KB")
     try:
         scenario = loads_scenario(text, dirs=dirs) if text else load_scenario_by_name(name, dirs)
     except ScenarioError as error:

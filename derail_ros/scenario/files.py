@@ -60,7 +60,7 @@ def all_files(folders: Iterable[Path]) -> Iterator[tuple[str, Path]]:
 
 
 def read_text(path: Path) -> str:
-    """Text of a file of at most 256 KB.
+    """Text of a file of at most 512 KB.
 
     Raises
     ------

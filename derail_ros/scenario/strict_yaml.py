@@ -18,7 +18,7 @@ import yaml
 
 from derail_ros.scenario.errors import ScenarioError
 
-MAX_BYTES = 256 * 1024
+MAX_BYTES = 512 * 1024
 """Largest text that is read, bytes of UTF-8."""
 
 MAX_DEPTH = 32

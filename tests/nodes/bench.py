@@ -25,7 +25,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("load_consist", {"scenario_yaml": SMALL.replace("80", "fast")}, "train.speed_kmh"),
     ("load_consist", {"scenario_yaml": "a: &b [1]\nc: *b\n"}, "<inline>:1"),
     ("load_consist", {"scenario_yaml": "a: !!python/name:os.system ''\n"}, "<inline>:1"),
-    ("load_consist", {"scenario_yaml": "#" * (256 * 1024 + 1)}, "over 256 KB"),
+    ("load_consist", {"scenario_yaml": "#" * (512 * 1024 + 1)}, "over 512 KB"),
     ("load_consist", {"scenario_yaml": SMALL.replace("10}", "1001}")}, "count"),
     ("load_consist", {"scenario_yaml": SMALL, "speed_kmh": -1.0}, "speed_kmh must be"),
     ("load_consist", {"scenario_yaml": SMALL, "speed_kmh": math.inf}, "speed_kmh must be"),

@@ -34,7 +34,7 @@ from derail_ros.recording.recorder import absolute, recorded_topics
 from derail_ros.scenario import loads_scenario
 from derail_ros.vocabulary.errors import SimulationError
 from msg_adapters import reports
-from msg_adapters.common import stamp_of
+from msg_adapters.common import TIME_ZERO, stamp_of
 from msg_adapters.definitions import deserialize, serialize
 from msg_adapters.topics import STATE_TOPICS, TOPICS
 from tests.nodes.support import OFF_THE_TRACK, small
@@ -76,7 +76,7 @@ def test_every_topic_is_there_without_gaps(recorded) -> None:
     ticks = len(found["/train_state"])
     for name in STATE_TOPICS:
         stamps = [stamp for stamp, _ in found["/" + name]]
-        assert stamps == [20_000_000 * k for k in range(ticks)]
+        assert stamps == [TIME_ZERO + 20_000_000 * k for k in range(ticks)]
         assert all(stamp == stamp_of(message) for stamp, message in found["/" + name])
     assert 0.0 <= 0.02 * (ticks - 1) - simulation.time < 0.02
     assert len(found["/markers"]) == pytest.approx(15 * simulation.time, abs=2)

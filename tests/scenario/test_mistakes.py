@@ -421,8 +421,8 @@ def test_top_level_must_be_a_mapping(text):
 
 
 def test_too_long_a_text():
-    with pytest.raises(ScenarioError, match="limit is 256 KB"):
-        loads_scenario(TEXT + "# " + "x" * 256 * 1024)
+    with pytest.raises(ScenarioError, match="limit is 512 KB"):
+        loads_scenario(TEXT + "# " + "x" * 512 * 1024)
 
 
 def test_only_the_first_mistake_is_told_and_a_misspelt_key_before_a_missing_one():
@@ -451,8 +451,8 @@ def test_files_that_cannot_be_read(tmp_path):
     assert reason(tmp_path / "folder.yaml") == "is not a file"
     (tmp_path / "latin.yaml").write_bytes(b"version: 1\ntitle: \xe9\n")
     assert reason(tmp_path / "latin.yaml") == "is not UTF-8 text"
-    (tmp_path / "long.yaml").write_bytes(b"#" * (256 * 1024 + 1))
-    assert reason(tmp_path / "long.yaml") == "is over the limit of 256 KB"
+    (tmp_path / "long.yaml").write_bytes(b"#" * (512 * 1024 + 1))
+    assert reason(tmp_path / "long.yaml") == "is over the limit of 512 KB"
     assert reason("x\0.yaml")
 
 

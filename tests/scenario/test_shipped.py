@@ -186,8 +186,9 @@ def test_brake_tests(train, test):
     mode = {"traction": "traction_limited", "instant_traction": "instant_traction_limited"}
     (trigger,) = params.brakes.triggers
     assert trigger.mode == mode.get(test, test)
-    coefficient = 0.16 if "published" in train and test != "instant" else 0.3
-    assert params.brakes.traction_coefficient == coefficient
+    assert params.brakes.traction_coefficient == 0.3
+    late = "published" in train and test != "instant"
+    assert trigger.delay == (3.5 if late else 0.0)
     assert dataclasses.replace(params, brakes=base.brakes) == base
 
 
