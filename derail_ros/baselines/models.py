@@ -198,6 +198,9 @@ def free_speeds(simulation: Simulation) -> NDArray[np.float64]:
 NO_FORCES = ("peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
              "severity", "cars_above_5MN", "cars_above_10MN")  # fmt: skip
 """What a model without forces between cars does not know."""
+NO_COUPLINGS = (*NO_FORCES, "max_draft_N", "max_draft_coupling", "max_buff_N",
+                "max_buff_coupling", "in_train", "parted")  # fmt: skip
+"""What a model does not know that tells nothing of its couplings either."""
 
 
 def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dict[str, Any]]:
@@ -210,6 +213,7 @@ def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dic
     asked.go(simulation)
     outcome = simulation.outcome()
     rear = outcome.rear_part_first_car
+    ahead = np.full(train.first, np.nan)  # couplings ahead of the first car are not looked at
     energy = {k: v for k, v in outcome.energy.items() if k not in ("collisions", "ground_body")}
     whole = dataclasses.replace(
         outcome,
@@ -217,6 +221,10 @@ def _yang_manos(params: TrainParams, asked: Request) -> tuple[Record, Scene, dic
         rear_part_first_car=rear + train.first if rear else 0,
         energy=energy,
         train=train_totals(params.cars),
+        couplings={k: np.concatenate((ahead, v)) for k, v in outcome.couplings.items()},
+        parted=tuple(
+            dataclasses.replace(p, coupling=p.coupling + train.first) for p in outcome.parted
+        ),
     )
     yaw = outcome.pose[: outcome.cars_derailed, 5]
     notes = {
@@ -255,7 +263,7 @@ def _anderson(params: TrainParams, asked: Request) -> tuple[Record, Scene, dict[
     breaks = params.track.rail_breaks
     scene = _scene(params.cars, model.pose, model.truck_on, model.coupled, o,
                    track=track, breaks=breaks)  # fmt: skip
-    return record_of(o, NO_FORCES), scene, notes
+    return record_of(o, NO_COUPLINGS), scene, notes
 
 
 def _scene(
@@ -317,7 +325,7 @@ def _roorda_gracie(params: TrainParams, asked: Request) -> tuple[Record, Scene, 
     on[:k] = False
     scene = _scene(train.cars, run.pose, on, np.ones(train.n - 1, dtype=bool), outcome,
                    train.numbers, breaks=(train.point,))  # fmt: skip
-    return record_of(outcome, NO_FORCES), scene, {"advance_m": finite(run.advance, 3)}
+    return record_of(outcome, NO_COUPLINGS), scene, {"advance_m": finite(run.advance, 3)}
 
 
 def _nothing(params: TrainParams, pose: Any, status: str, duration: float, steps: int) -> Outcome:
@@ -326,7 +334,7 @@ def _nothing(params: TrainParams, pose: Any, status: str, duration: float, steps
     return dataclasses.replace(blank, duration=duration, train=train_totals(params.cars))
 
 
-NO_PLANE = (*NO_FORCES, "scene_length_m", "scene_width_m", "scene_area_m2", "steps",
+NO_PLANE = (*NO_COUPLINGS, "scene_length_m", "scene_width_m", "scene_area_m2", "steps",
             "rejected_steps")  # fmt: skip
 """What a model with one coordinate does not know."""
 

@@ -87,7 +87,8 @@ def residual(ledger: Mapping[str, float]) -> float:
 
 def available(ledger: Mapping[str, float]) -> float:
     """Energy that the train had to lose, J: at the start, from locomotives, and from its fall."""
-    gained = max(ledger.get("traction", 0.0), 0.0) + max(-ledger.get("potential", 0.0), 0.0)
+    pulled, height = (ledger.get(key) or 0.0 for key in ("traction", "potential"))
+    gained = max(pulled, 0.0) + max(-height, 0.0)
     return (ledger.get("initial") or 0.0) + gained
 
 
@@ -125,12 +126,12 @@ def stopped_by(ledger: Mapping[str, float]) -> str:
         return "The energy ledger is not known."
     total = available(ledger)
     more = [("traction", "from locomotives", 1.0), ("potential", "from the grade", -1.0)]
-    came = [words for key, words, sign in more if sign * ledger.get(key, 0.0) > NO_ENERGY]
+    came = [words for key, words, sign in more if sign * (ledger.get(key) or 0.0) > NO_ENERGY]
     opening = f"Of the {energy(total)} {joined(['at the start', *came])}"
     large = [row for row in ranked if row[2] >= SMALL_SHARE]
     if not large:
         return f"{opening} nothing has been taken out yet."
-    left = ledger.get("kinetic", 0.0) / total
+    left = (ledger.get("kinetic") or 0.0) / total
     parts = [(e.words, s) for e, _, s in large]
     if left >= SMALL_SHARE:
         parts.append(("still motion", left))

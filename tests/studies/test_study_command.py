@@ -29,7 +29,7 @@ def test_run_show_and_report(derail, folder):
     code, out, err = derail("study", folder / "study.yaml", "-o", place, "--table", "csv")
     assert code == 0, err
     assert "4 points x 2 runs = 8 runs" in out and "8 runs, on" in err
-    assert "cannot be told apart" in out
+    assert "cannot be distinguished with 2 runs per point" in out
     assert (place / "runs.csv").read_text().count("\n") == 9
     code, shown, _ = derail("study", "show", place)
     assert code == 0 and shown == out
