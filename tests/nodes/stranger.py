@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from derail_ros.nodes.process import Stop
 from derail_ros.nodes.serving import service_qos
-from tests.nodes.graph import SERVICES
+from tests.nodes.graph import SERVICES, service_path
 from tests.nodes.support import SMALL
 
 NUMBERS = [math.nan, math.inf, -math.inf, -1.0, -1e308, 1e308, 5e-324, -0.0, 1e17]
@@ -131,7 +131,7 @@ def main() -> None:
     # Each answer goes to all clients of a service, and with the usual depth of 10 one that gets no
     # processor time while others get ten answers loses its own.
     deep = service_qos()
-    kinds = {f"/simulator/{name}": kind for name, kind in SERVICES.items()}
+    kinds = {f"/simulator/{service_path(name)}": kind for name, kind in SERVICES.items()}
     kinds["/simulator/set_parameters"] = SetParameters
 
     def make(name: str) -> Any:
@@ -179,7 +179,7 @@ def main() -> None:
             request.caller = dice.choice(TEXTS)
         if dice.random() < 0.01:
             other.call_async(reset.Request())
-        name = f"/simulator/{service}"
+        name = f"/simulator/{service_path(service)}"
         for _ in range(RESENDS):
             future = clients[name].call_async(request)
             executor.spin_until_future_complete(future, timeout_sec=PATIENCE)
