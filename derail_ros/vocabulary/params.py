@@ -397,7 +397,7 @@ class ContactParams:
     c2: float = 0.1
     c3: float = 1.0
     gap_law: str = "gaussian"
-    inside: str = "held"
+    inside: str = field(default="held", metadata=LATER)
     begin_force: float = 10_000.0
     end_force: float = 5_000.0
     end_hold: float = 0.020

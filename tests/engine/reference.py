@@ -15,6 +15,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve
 from scipy.special import fresnel
 
+from derail_ros.engine.negotiability import free_swing
+from derail_ros.engine.track import Track
+
 G = 9.81
 
 KNUCKLE = {
@@ -83,9 +86,10 @@ class Line:
         return s, -(x - px) * np.sin(h) + (y - py) * np.cos(h)
 
 
-def spring(x, opening, k1, k2):
-    """Bilinear restoring force."""
-    return k1 * np.clip(x, -opening, opening) + k2 * (x - np.clip(x, -opening, opening))
+def spring(x, free, opening, k1, k2):
+    """Bilinear restoring force beyond a free play."""
+    inner = np.clip(x, -opening, opening)
+    return k1 * (inner - np.clip(x, -free, free)) + k2 * (x - inner)
 
 
 def knuckle(n, c0, c1, c2):
@@ -153,6 +157,7 @@ class Reference:
         self.p = params
         self.n = n = len(params.cars)
         self.line = Line(params.track)
+        self.free = free_swing(params.cars, Track(params.track))
         self._last = {}
         self.truck_on = np.ones((n, 2), bool) if truck_on is None else np.array(truck_on, bool)
         self.coupled = np.ones(n - 1, bool) if coupled is None else np.array(coupled, bool)
@@ -292,10 +297,11 @@ class Reference:
             return q[i, :2] + r * np.array([math.cos(q[i, 2]), math.sin(q[i, 2])])
 
         for i, c in enumerate(p.cars):
-            for col, e in ((3, c.front), (4, c.rear)):
+            for end, (col, e) in enumerate(((3, c.front), (4, c.rear))):
                 x = e.striker_arm * (q[i, col] - q[i, 2])
                 xd = e.striker_arm * (v[i, col] - v[i, 2])
-                m = e.striker_arm * (spring(x, e.striker_opening, e.k1, e.k2) + e.damping * xd)
+                law = e.striker_arm * self.free[i, end], e.striker_opening, e.k1, e.k2
+                m = e.striker_arm * (spring(x, *law) + e.damping * xd)
                 out[i, col] -= m
                 out[i, 2] += m
             smooth = math.sqrt(v[i, 0] ** 2 + v[i, 1] ** 2 + p.ground.eps**2)
