@@ -106,7 +106,8 @@ def test_mixed_calls_from_four_clients(tmp_path, capsys, calls) -> None:
 
     grown = (after["memory"] - before["memory"]) / MEGABYTE
     print(f"{calls} calls: {grown:.1f} MB more, {before} before, {after} after")
-    # The manifest's list of commands is kept; a leaked request (2 MB) or event list is more.
-    assert grown < 10.0 + calls * 0.001
+    # The manifest's list of commands is kept. What four more clients cost once is 8 to 12 MB, at
+    # 300 calls as at 900; leaked requests (2 MB each) or event lists are several times that.
+    assert grown < 20.0 + calls * 0.001
     for what in ("files", "threads", "shared"):
         assert after[what] <= before[what] + 4, (what, before, after)
