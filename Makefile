@@ -29,8 +29,9 @@ endif
 endif
 endif
 
-# Another environment's Python must not leak into this one.
-unexport PYTHONPATH PYTHONHOME
+# Another environment's Python must not leak into this one, and without its bytecode each of the
+# hundreds of processes that tests start would compile the package anew.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
@@ -66,7 +67,7 @@ PARTS := $(STAMPS)/msgs $(STAMPS)/standard $(STAMPS)/project-$(EXTRAS)
 endif
 
 LINTS := lint-ruff lint-format lint-types lint-walls lint-spelling lint-prose
-.PHONY: help env run lint $(LINTS) test test-plain test-ros verify bench pages clean
+.PHONY: help env run lint $(LINTS) test test-plain test-ros verify bench docs pages clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -130,15 +131,16 @@ lint-walls:
 lint-spelling:
 	$(BIN)/codespell
 lint-prose:
-	$(BIN)/proselint --config .proselintrc.json check $(wildcard *.md docs/*.md)
+	$(BIN)/proselint --config .proselintrc.json check $(wildcard *.md docs/*.md docs/tutorials/*.md)
 
 test-plain: env
 	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and not ros" -n auto \
 	  --maxprocesses 8 --dist loadfile $(PYTEST_ARGS)
 
-# One after the other: each starts several processes.
+# Two files at a time: each test starts several processes in a domain of its own, and waits much.
 test-ros: env
-	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and ros" $(PYTEST_ARGS)
+	$(TEST_ENVIRONMENT) $(BIN)/python -m pytest -m "not slow and ros" -n 2 --dist loadfile \
+	  $(PYTEST_ARGS)
 
 # Every part runs, whatever became of those before it; the end names all failures.
 TEST_PARTS := lint test-plain $(if $(filter 0,$(ROS)),,test-ros)
@@ -163,6 +165,10 @@ bench: env  ## measure, and print the tables of the documentation
 	  $(call pip,bench,install --constraint constraints.txt --editable '.[bench]'); }
 	@shopt -s nullglob; for file in benchmarks/bench_*.py; do \
 	  echo "== $$file"; $(BIN)/python "$$file"; done
+
+docs: env  ## build the documentation site: build/site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "docs: build/site/index.html"
 
 REPORTS ?=
 pages: env  ## write the generated pages and figures of docs/ anew (hours); REPORTS: files of accident reports

@@ -51,11 +51,29 @@ STUDIES = [
     "dask[distributed]>=2024.1",
 ]
 
+# Maps: reference systems of projection, and polygons.
+SITE = ["pyproj>=3.6", "shapely>=2"]
+
+# The engine in three dimensions, and its view in a browser.
+SPATIAL = ["mujoco>=3.2", "trimesh>=4", "viser>=1.0"]
+
 # Films as MP4: the ffmpeg that comes as a wheel. GIF needs nothing.
 VIDEO = ["imageio-ffmpeg>=0.5"]
 
+# The documentation site (`make docs`) and its notebooks.
+DOCS = [
+    "mkdocs-material>=9.5",
+    "mkdocstrings[python]>=0.26",
+    "nbformat>=5",
+    "nbclient>=0.10",
+    "ipykernel>=6",
+]
+
 TEST = [
     *VIDEO,
+    *DOCS,
+    *SITE,
+    *SPATIAL,
     "pytest>=8",
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
@@ -63,7 +81,6 @@ TEST = [
     "mcap-ros2-support>=0.5",
     "selenium>=4.15",
     "sympy>=1.12",
-    "mujoco>=3",
     "jsonschema>=4",
     "setuptools>=68",
     "catkin-pkg>=1",
@@ -80,7 +97,7 @@ DEV = [
     "ruff==0.17.6",
     "mypy==2.4.1",
     "types-PyYAML",
-    "import-linter==2.17",
+    "import-linter==2.15",
     "codespell==2.4.3",
     "proselint==0.16.0",
 ]
@@ -128,7 +145,7 @@ PACKAGES = (NAME, "msg_adapters")
 setup(
     name=NAME,
     version=version(),
-    description="A simulator of train derailments that lives in ROS 2",
+    description="A simulator of train derailments, in Python and in ROS 2",
     long_description=readme(),
     long_description_content_type="text/markdown",
     author="The derail_ros developers",
@@ -157,6 +174,9 @@ setup(
         "ros": ROS,
         "studies": STUDIES,
         "bench": BENCH,
+        "docs": DOCS,
+        "site": SITE,
+        "spatial": SPATIAL,
         "video": VIDEO,
         "test": TEST,
         "dev": DEV,

@@ -1,12 +1,13 @@
 """Engine time of this tree against another one, in pairs.
 
-    python benchmarks/bench_paired.py OTHER [--pairs 10] [--runs 200]
+    python benchmarks/bench_paired.py OTHER [--scenario NAME] [--pairs 10] [--runs 200]
 
 OTHER is a commit or the path of a tree. A pair is two fresh processes, one a tree, that take the
-steps of the same derailments around ``mississauga_published`` in turn, run by run, so that what
-else the machine does meets both alike; the time is processor time, and the kernels are compiled
-before. The table ends with the mean of the ratio this / other over the pairs and its one-sided
-95 % upper confidence bound (Student's t on the logarithms).
+steps of the same derailments around a scenario (``mississauga_published``; each tree reads its own
+file) in turn, run by run, so that what else the machine does meets both alike; the time is
+processor time, and the kernels are compiled before. The table ends with the mean of the ratio
+this / other over the pairs and its one-sided 95 % upper confidence bound (Student's t on the
+logarithms).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent.parent
 
 
-def work() -> None:
+def work(scenario: str) -> None:
     """Run a derailment for each speed (a factor, one a line) that is asked for; print the time."""
     try:
         from derail_ros.engine import PlanarSimulation as Simulation
@@ -34,7 +35,7 @@ def work() -> None:
         from derail_ros.engine import Simulation
     from derail_ros.scenario import load_scenario_by_name
 
-    params = load_scenario_by_name("mississauga_published").to_params()
+    params = load_scenario_by_name(scenario).to_params()
     Simulation(params).run()
     for line in sys.stdin:
         speed = params.initiation.speed * float(line)
@@ -44,11 +45,12 @@ def work() -> None:
         print(time.process_time() - began, flush=True)
 
 
-def start(tree: Path) -> subprocess.Popen[str]:
+def start(tree: Path, scenario: str) -> subprocess.Popen[str]:
     """A process that works with the package of ``tree``."""
     return subprocess.Popen(
-        [sys.executable, __file__, "--work"], env={**os.environ, "PYTHONPATH": str(tree)},
-        cwd=tree, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        [sys.executable, __file__, "--work", "--scenario", scenario],
+        env={**os.environ, "PYTHONPATH": str(tree)}, cwd=tree,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
 
 
@@ -59,10 +61,10 @@ def ask(process: Any, factor: float) -> float:
     return float(process.stdout.readline())
 
 
-def pair(other: Path, runs: int) -> tuple[float, float]:
+def pair(other: Path, scenario: str, runs: int) -> tuple[float, float]:
     """Processor time of this tree and of the other one, s."""
     spent = [0.0, 0.0]
-    processes = [start(HERE), start(other)]
+    processes = [start(HERE, scenario), start(other, scenario)]
     try:
         for k in range(runs):
             for side in ((0, 1), (1, 0))[k % 2]:
@@ -73,41 +75,43 @@ def pair(other: Path, runs: int) -> tuple[float, float]:
     return spent[0], spent[1]
 
 
-def compare(other: Path, pairs: int, runs: int) -> None:
+def compare(other: Path, scenario: str, pairs: int, runs: int) -> None:
     """Print the table."""
     from scipy.stats import t
 
-    pair(other, 1)  # compiles
+    pair(other, scenario, 1)  # compiles
     print("| pair | this, s | other, s | ratio |\n| --- | --- | --- | --- |")
     logs = []
     for k in range(pairs):
-        mine, others = pair(other, runs)
+        mine, others = pair(other, scenario, runs)
         logs.append(math.log(mine / others))
         print(f"| {k + 1} | {mine:.2f} | {others:.2f} | {mine / others:.3f} |", flush=True)
     mean = statistics.fmean(logs)
     half = t.ppf(0.95, pairs - 1) * statistics.stdev(logs) / math.sqrt(pairs)
-    print(f"\n{runs} runs each: ratio {math.exp(mean):.4f}, below {math.exp(mean + half):.4f}")
+    below = math.exp(mean + half)
+    print(f"\n{scenario}, {runs} runs each: ratio {math.exp(mean):.4f}, below {below:.4f}")
 
 
 def main() -> None:
     """Compare, or be one of the processes that are compared."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("other", nargs="?", default="HEAD")
+    parser.add_argument("--scenario", default="mississauga_published")
     parser.add_argument("--pairs", type=int, default=10)
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.work:
-        work()
+        work(given.scenario)
     elif Path(given.other).is_dir():
-        compare(Path(given.other).resolve(), given.pairs, given.runs)
+        compare(Path(given.other).resolve(), given.scenario, given.pairs, given.runs)
     else:
         with tempfile.TemporaryDirectory() as folder:
             tree = Path(folder) / "other"
             git = ["git", "-C", str(HERE), "worktree"]
             subprocess.run([*git, "add", "--detach", "--quiet", tree, given.other], check=True)
             try:
-                compare(tree, given.pairs, given.runs)
+                compare(tree, given.scenario, given.pairs, given.runs)
             finally:
                 subprocess.run([*git, "remove", "--force", tree], check=True)
 

@@ -27,7 +27,7 @@ PARTS = {
         "coupler_forces", "brake_forces", "ground_forces",
     ),
     "contacts: pairs that may touch, gaps, corners": (
-        "_corner_contacts", "collision_forces", "refresh_active", "rebuild",
+        "_corner_contacts", "collision_forces", "limit_way", "_corner_limit", "rebuild",
     ),
     "contacts: events, peaks within steps, memory of walls": (
         "track_contacts", "_note_force", "_peak_within", "_force_within", "remember_walls",
@@ -115,7 +115,7 @@ class Counters:
                 poke(0, within + spent)
                 return result
 
-            return numba.njit(nogil=True, error_model="numpy", _nrt=False)(counted)
+            return compile_plain(counted, **{**options, "cache": False})
 
         return compile_counted
 

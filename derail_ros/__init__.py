@@ -1,4 +1,4 @@
-"""derail_ros: a simulator of train derailments that lives in ROS 2."""
+"""derail_ros: a simulator of train derailments, in Python and in ROS 2."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ if os.path.basename(sys.argv[0]) == "derail":
     # The command is being imported; ``cli.main`` says "interrupted" once it runs.
     signal.signal(signal.SIGINT, lambda *_: os._exit(130))
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["SimulatorClient", "__version__", "simulate", "study"]
 
 

@@ -1,7 +1,8 @@
 """``make run``: the Mississauga derailment of 1979 in a real ROS 2 node, recorded.
 
 Simulator and recorder run as processes of their own and talk over a ROS 2 graph; this process
-listens to them, shows how the run goes, and in the end reads the recording back.
+listens to them, shows how the run goes, on the terminal and on a page, and in the end reads
+the recording back.
 """
 
 from __future__ import annotations
@@ -12,22 +13,36 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from derail_ros.look.board import Board, Refused
+from derail_ros.look.server import serving
 from derail_ros.nodes.domain import free_domain
 from derail_ros.recording.reader import read_bag
+from derail_ros.recording.recorded_run import Cars, SampledLine
 from derail_ros.studies.published import load_published
+from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.vocabulary.ledger import stopped_by
 from derail_ros.vocabulary.measures import MEASURES, outcome_record
 from derail_ros.vocabulary.outcome import Outcome, ending
+from derail_ros.vocabulary.words import capital
+
+if TYPE_CHECKING:
+    from derail_ros.nodes.client import SimulatorClient
 
 SCENARIO = "mississauga"
 SPEED_FACTOR = 3.0
+STATE_EVERY = 0.05
+"""Wall time between two states on the page, s."""
 LATEST = 8
 """Events shown."""
 INTERRUPTED = 130
@@ -56,6 +71,89 @@ class Heard:
     status: str = "waiting for the simulator; the first time its kernels are compiled"
     final: bool = False
     events: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=LATEST))
+
+
+class Page:
+    """The page of the run (:mod:`derail_ros.look`), from the messages of the graph."""
+
+    def __init__(self) -> None:
+        self.board = Board(self.act, ("break", "brake"))
+        self._consist: Any = None
+        self._line: SampledLine | None = None
+        self._breaks = 0
+        self._coupled = np.ones(0, dtype=int)
+        self._shown = 0.0
+        self._early: list[Event] = []
+        self._client: SimulatorClient | None = None
+        self._lock = threading.Lock()
+
+    def on_consist(self, m: Any) -> None:
+        """The train is known."""
+        self._consist = m
+        self._coupled = np.ones(max(len(m.mass) - 1, 0), dtype=int)
+
+    def on_track(self, m: Any) -> None:
+        """The track, again with each break."""
+        self._line = SampledLine.of_message(m)
+
+    def on_event(self, event: Event) -> None:
+        """Something happened."""
+        if self._shown:
+            self.board.event(event)
+        else:
+            self._early.append(event)
+        if event.kind == EventKind.COUPLER_PARTED and event.cars:
+            self._coupled[min(event.cars) - 1] = 0
+
+    def on_state(self, m: Any) -> None:
+        """A state; not each is shown."""
+        now, first = time.monotonic(), self._shown == 0.0
+        if self._consist is None or self._line is None or now < self._shown + STATE_EVERY:
+            return
+        self._shown = now
+        if first:
+            cars, name = Cars.of_message(self._consist), self._consist.scenario_name
+            self.board.begin(name, name, cars, self._line, np.array(m.x))
+            for event in self._early:
+                self.board.event(event)
+        for b in self._line.breaks[self._breaks :]:
+            self.board.rail_break(*(float(v) for v in b[1:]))
+        self._breaks = len(self._line.breaks)
+        on = np.stack([m.truck_status_front, m.truck_status_rear], axis=-1) == m.TRUCK_ON_RAILS
+        self.board.state(
+            m.time,
+            np.stack([m.x, m.y, m.z, m.roll, m.pitch, m.yaw], axis=-1),
+            np.stack([m.vx, m.vy], axis=-1),
+            np.stack([m.coupler_angle_front, m.coupler_angle_rear], axis=-1),
+            on,
+            self._coupled,
+        )
+
+    def act(self, name: str, arguments: dict[str, Any]) -> str:
+        """Have the simulator carry out a command."""
+        from derail_ros.nodes.client import SimulatorClient, SimulatorClientError
+
+        with self._lock:
+            try:
+                if self._client is None:
+                    self._client = SimulatorClient(timeout=10.0, name="page")
+                if name == "brake":
+                    self._client.brake()
+                    return "Emergency brakes, from the front of the train."
+                place = None
+                if arguments.get("x") is not None and self._line is not None:
+                    place, _ = self._line.locate(float(arguments["x"]), float(arguments["y"]))
+                car = int(arguments.get("car") or 0)
+                place = self._client.break_rail(place, car=car)
+            except SimulatorClientError as error:
+                raise Refused(str(error)) from None
+            return f"The rail is broken at {place:.1f} m."
+
+    def close(self) -> None:
+        """Leave the graph."""
+        with self._lock:
+            if self._client is not None:
+                self._client.close()
 
 
 def environment(domain: int) -> dict[str, str]:
@@ -100,13 +198,17 @@ def ended(processes: Sequence[subprocess.Popen[bytes]]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
+def listening(heard: Heard, page: Page, env: dict[str, str]) -> Iterator[Any]:
     """Listen to the graph; gives a function that waits for what comes."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    from msg_adapters.reports import outcome_from_message
+    from msg_adapters.reports import (
+        collision_from_message,
+        event_from_message,
+        outcome_from_message,
+    )
     from msg_adapters.topics import TOPICS, rclpy_class, rclpy_qos
 
     os.environ.update(env)
@@ -119,6 +221,7 @@ def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
         heard.time = message.clock.sec + 1e-9 * message.clock.nanosec
 
     def on_event(message: Any) -> None:
+        page.on_event(event_from_message(message))
         heard.events.append((message.time, message.text))
         heard.derailed += message.kind_name == "truck_derailed" and message.before != "derailed"
 
@@ -128,15 +231,21 @@ def listening(heard: Heard, env: dict[str, str]) -> Iterator[Any]:
         heard.peak = outcome.peak_force
         heard.status, heard.final = outcome.status, outcome.final
         heard.time = max(heard.time, message.time)
+        if outcome.final:
+            page.board.end(f"{capital(outcome.text)}.", stopped_by(outcome.energy))
 
-    for name, callback in (
-        ("/clock", on_clock),
-        ("events", on_event),
-        ("outcome", on_outcome),
+    for name, callback, depth in (
+        ("/clock", on_clock, None),
+        ("events", on_event, None),
+        ("outcome", on_outcome, None),
+        ("consist", page.on_consist, None),
+        ("track", page.on_track, None),
+        ("collisions", lambda m: page.board.contact(collision_from_message(m)), None),
+        ("train_state", page.on_state, 1),
     ):
         topic = TOPICS[name]
         node.create_subscription(
-            rclpy_class(topic.msgtype), topic.name, callback, rclpy_qos(topic)
+            rclpy_class(topic.msgtype), topic.name, callback, rclpy_qos(topic, depth)
         )
     try:
         yield lambda seconds: executor.spin_once(timeout_sec=seconds)
@@ -193,12 +302,16 @@ def show_log(log: Path) -> None:
 
 
 def watch(
-    heard: Heard, processes: Sequence[subprocess.Popen[bytes]], env: dict[str, str], began: float
+    heard: Heard,
+    page: Page,
+    processes: Sequence[subprocess.Popen[bytes]],
+    env: dict[str, str],
+    began: float,
 ) -> None:
     """Show the run until both nodes have ended, or one of them has failed."""
     from rich.live import Live
 
-    with listening(heard, env) as spin, Live(refresh_per_second=8) as live:
+    with listening(heard, page, env) as spin, Live(refresh_per_second=8) as live:
         shown = 0.0
         while any(process.poll() is None for process in processes):
             spin(0.1)
@@ -248,9 +361,11 @@ def run(scenario: str, speed_factor: float, output: Path | None, domain: int) ->
         "nodes [bold]simulator[/bold] and [bold]recorder[/bold], "
         f"ROS_DOMAIN_ID {env['ROS_DOMAIN_ID']}"
     )
-    with ended([simulator, recorder]):
+    page = Page()
+    with ended([simulator, recorder]), contextlib.closing(page), serving(page.board) as server:
+        console.print(f"page: {server.addresses[0]}  (live, while it runs)", highlight=False)
         try:
-            watch(heard, [simulator, recorder], env, began)
+            watch(heard, page, [simulator, recorder], env, began)
         except KeyboardInterrupt:
             console.print("interrupted")
             return INTERRUPTED

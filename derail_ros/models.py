@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
 from derail_ros.vocabulary.errors import ParameterError
@@ -15,15 +16,20 @@ if TYPE_CHECKING:
 GROUP = "derail_ros.engines"
 """Entry points of this group (name = module:object) are engines of other packages."""
 
-_ENGINES: dict[str, Any] = {PLANAR: "derail_ros.engine.planar:ENGINE"}
+_ENGINES: dict[str, Any] = {
+    PLANAR: "derail_ros.engine.planar:ENGINE",
+    "spatial": "derail_ros.spatial.engine:ENGINE",
+}
+
+
+@functools.cache  # reading what is installed takes longer than reading a scenario
+def _installed() -> dict[str, EntryPoint]:
+    return {e.name: e for e in entry_points(group=GROUP)}
 
 
 def names() -> list[str]:
     """Names of the models, the default one first."""
-    return [
-        *_ENGINES,
-        *sorted(e.name for e in entry_points(group=GROUP) if e.name not in _ENGINES),
-    ]
+    return [*_ENGINES, *sorted(_installed().keys() - _ENGINES.keys())]
 
 
 def register(engine: Engine) -> None:
@@ -40,8 +46,8 @@ def engine(name: str = PLANAR) -> Engine:
         There is no such model.
     """
     found = _ENGINES.get(name)
-    if found is None:
-        found = next((e.load() for e in entry_points(group=GROUP) if e.name == name), None)
+    if found is None and name in _installed():
+        found = _installed()[name].load()
     if found is None:
         raise ParameterError("model", f"must be one of {', '.join(names())}, got {name}")
     if isinstance(found, str):  # imported at first use: kernels take a second to load

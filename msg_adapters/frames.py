@@ -1,8 +1,8 @@
 """Frames of a train and its description for viewers: `/tf`, `/tf_static`, joints, URDF.
 
-Frames, each name after a prefix: ``car_1`` at the mass centre of car 1, at the height of the
-rail, x along the car; in it the trucks ``car_1/front_truck``, ``car_1/rear_truck``, fixed, for
-the planar model does not turn them; the couplers ``car_1/front_coupler``,
+Frames, each name after a prefix: ``car_1`` in the middle of car 1 at the height of the rail on
+which it stood, turned with it, x along it; in it the trucks ``car_1/front_truck``,
+``car_1/rear_truck``, fixed, for no model turns them; the couplers ``car_1/front_coupler``,
 ``car_1/rear_coupler`` at their pivots, turned; and in these, at their mated faces, ``.../head``.
 """
 
@@ -14,10 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from derail_ros.vocabulary.params import Car, TrainParams
+from derail_ros.vocabulary.shapes import height_of
 from msg_adapters.common import SENTINEL, RunContext
 from msg_adapters.definitions import message_class, serialize
 from msg_adapters.markers import BLUE, CAR_FLOOR, CAR_HEIGHT, COUPLER_HEIGHT, GAUGE
-from msg_adapters.state import FlatEncoder, quaternions
+from msg_adapters.state import FlatEncoder, above
 from msg_adapters.templates import Template, marked_header, quaternion, vector
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ class TransformEncoder:
 
     def __init__(self, params: TrainParams, context: RunContext, prefix: str = "") -> None:
         self.context = context
+        self._height = np.array([height_of(car) for car in params.cars])
         found = []
         for number, car in enumerate(params.cars, 1):
             name = f"{prefix}car_{number}"
@@ -75,12 +77,15 @@ class TransformEncoder:
                 turn = quaternion(0.0, 0.0, SENTINEL, SENTINEL)
                 found.append(_transform(marked_header(name), f"{name}/{end}_coupler", place, turn))
         self._encode = Template(message_class("tf2_msgs/msg/TFMessage")(found))
+        self._values = np.empty((len(params.cars), 11))
 
     def __call__(self, sample: Sample) -> bytes:
         """CDR bytes of ``tf2_msgs/TFMessage``."""
         half = 0.5 * (sample.coupler_yaw - sample.pose[:, 5:6])
-        turns = np.stack([np.sin(half), np.cos(half)], axis=-1).reshape(len(half), 4)
-        values = np.hstack([sample.pose[:, 0:3], quaternions(sample.pose), turns])
+        values = self._values
+        values[:, 0:3] = above(sample.pose, self._height, 0.0)
+        values[:, 3:7] = sample.quaternions
+        values[:, 7::2], values[:, 8::2] = np.sin(half), np.cos(half)
         return self._encode(self.context.stamp(sample.time), values.reshape(-1))
 
 

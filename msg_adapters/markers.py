@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.vocabulary.params import TrainParams
+from derail_ros.vocabulary.shapes import height_of
 from msg_adapters.common import (
     NANOSECONDS,
     SENTINEL,
@@ -26,25 +27,29 @@ from msg_adapters.common import (
     SentinelContext,
 )
 from msg_adapters.definitions import message_class, serialize, typestore
-from msg_adapters.state import quaternions
+from msg_adapters.state import above
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from derail_ros.vocabulary.sample import Sample
+    from derail_ros.vocabulary.site import Shape
 
 ARROW, CUBE, LINE_STRIP, LINE_LIST, TEXT, TRIANGLE_LIST = 0, 1, 4, 5, 9, 11
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 
 BLUE = (0.0, 0.447, 0.698)
+GREEN = (0.0, 0.62, 0.451)
 ORANGE = (0.902, 0.624, 0.0)
 VERMILION = (0.835, 0.369, 0.0)
 PURPLE = (0.8, 0.475, 0.655)
 BLACK = (0.05, 0.05, 0.05)
 WHITE = (1.0, 1.0, 1.0)
 BALLAST = (0.55, 0.53, 0.5)
+CONCRETE = (0.42, 0.38, 0.35)
+SOIL = (0.48, 0.42, 0.25)
 
-ON_RAILS, DERAILED, STRUCK_HARD = BLUE, ORANGE, VERMILION
+ON_RAILS, STANDING, DERAILED, STRUCK_HARD = BLUE, GREEN, ORANGE, VERMILION
 
 HARD = 5.0e6
 """Force at a single corner known to rupture a tank car, N."""
@@ -55,6 +60,10 @@ FORCE_SCALE = 1.0e-6
 """Length of a force arrow, m/N: a metre a meganewton."""
 FORCE_SHOWN = 1.0e4
 """Smallest force that gets an arrow, N."""
+FILLED = (1.0, 1.0, 1.0)
+"""Scale of triangles."""
+WALL_HEIGHT = 2.5
+"""Drawn height of fixed bodies, m (the model is planar)."""
 GAUGE = 1.435
 BED_WIDTH = 4.0
 
@@ -118,6 +127,11 @@ def _array(markers: list[Any]) -> bytes:
     return serialize(message_class("visualization_msgs/msg/MarkerArray")(markers))
 
 
+def _from(places: Sequence[int], count: int) -> NDArray[np.int64]:
+    """(M, count) indices: each place and those after it."""
+    return np.asarray(places, dtype=np.int64)[:, None] + np.arange(count)
+
+
 def clear(context: RunContext, time: float = 0.0) -> bytes:
     """A ``MarkerArray`` that clears everything shown before."""
     return _array([_marker(context, time, "", 0, CUBE, action=DELETE_ALL)])
@@ -170,24 +184,33 @@ class MarkerEncoder:
         self._n = len(cars)
         self._length = np.array([car.length for car in cars])
         self._width = np.array([car.width for car in cars])
+        self._height = np.array([height_of(car) for car in cars])
         self._represents = [car.represents for car in cars]
+        self._standing = np.array(params.cut_numbers) > 0
         self._pivot = np.array([car.pivot_distance for car in cars])
         self._layout: tuple[Any, ...] = ()
+        self._labelled: tuple[bytes, tuple[str, ...]] = (b"", ())
         self._pieces: dict[tuple[Any, ...], _Piece] = {} if pieces is None else pieces
         self._data = bytearray()
 
     def _labels(self, derailed: NDArray[np.bool_], peak: NDArray[np.float64]) -> tuple[str, ...]:
+        known = derailed.tobytes() + peak.tobytes()
+        if known == self._labelled[0]:
+            return self._labelled[1]
         labels = []
         for i in range(self._n):
             lines = [str(i + 1)]
             if self._represents[i] > 1:
                 lines[0] += f" ({self._represents[i]} cars)"
+            if self._standing[i]:
+                lines[0] += " (not of the train)"
             if derailed[i]:
                 lines.append("off")
             if peak[i] > HARD:
                 lines.append(f"{peak[i] / 1e6:.0f} MN")
             labels.append("\n".join(lines))
-        return tuple(labels)
+        self._labelled = known, tuple(labels)
+        return self._labelled[1]
 
     def _make(self, what: str, number: int, detail: Any) -> Any:
         """A marker with marks where its changing parts will be."""
@@ -221,6 +244,7 @@ class MarkerEncoder:
             0,
             LINE_LIST,
             BLACK,
+            action=ADD if detail else DELETE,  # RViz complains of a list without points
             scale=(0.35, 0.0, 0.0),
             points=[mark] * (2 * detail),
         )
@@ -258,15 +282,15 @@ class MarkerEncoder:
         self._doubles = np.frombuffer(data, "<f8", offset=4)
         self._singles = np.frombuffer(data, "<f4", offset=4)
         self._words = np.frombuffer(data, "<u4", offset=4)
-        self._cars = np.array(doubles["cars"])
-        self._text = np.array(doubles["labels"])
-        self._arrows = np.array(doubles["contact_forces"]).reshape(self._n, 2)
+        self._cars = _from(doubles["cars"], 7)
+        self._text = _from(doubles["labels"], 3)
+        self._arrows = _from(doubles["contact_forces"], 3).reshape(self._n, 2, 3)
         self._links = doubles["couplers"][0] if doubles["couplers"] else 0
         self._link_count = sum(coupled)
         self._seconds = np.array(seconds)
         self._actions = np.array(actions)
         # A marker's pose and scale are ten doubles; its colour follows as four floats.
-        self._colors = 2 * (self._cars + 10)
+        self._colors = _from([2 * (at + 10) for at in doubles["cars"]], 3)
         self._layout = (labels, coupled, reset)
 
     def __call__(self, sample: Sample, peak: NDArray[np.float64], *, reset: bool = False) -> bytes:
@@ -280,30 +304,23 @@ class MarkerEncoder:
         coupled = sample.coupled.astype(np.uint8).tobytes()
         if self._layout != (labels, coupled, reset):
             self._lay_out(labels, coupled, reset)
-        d = self._doubles
-        x, y, z = sample.pose[:, :3].T
-        at = self._cars
-        d[at], d[at + 1] = x, y
-        d[at + 2] = z + CAR_FLOOR + 0.5 * CAR_HEIGHT
-        d[at[:, None] + np.arange(3, 7)] = quaternions(sample.pose)
-        colors = np.where(
-            (peak > HARD)[:, None],
-            np.array(STRUCK_HARD),
-            np.where(derailed[:, None], np.array(DERAILED), np.array(ON_RAILS)),
-        )
-        for channel in range(3):
-            self._singles[self._colors + channel] = colors[:, channel]
-
-        at = self._text
-        d[at], d[at + 1], d[at + 2] = x, y, CAR_FLOOR + CAR_HEIGHT + 1.5
+        d, place = self._doubles, sample.pose[:, :3]
+        box, label = np.empty((self._n, 7)), np.empty((self._n, 3))
+        box[:, :3] = above(sample.pose, self._height, CAR_FLOOR + 0.5 * CAR_HEIGHT)
+        box[:, 3:] = sample.quaternions
+        label[:] = place + (0.0, 0.0, CAR_FLOOR + CAR_HEIGHT + 1.5)
+        d[self._cars], d[self._text] = box, label
+        kind = np.where(peak > HARD, 2, np.where(derailed, 1, np.where(self._standing, 3, 0)))
+        colors = np.array([ON_RAILS, DERAILED, STRUCK_HARD, STANDING])
+        self._singles[self._colors] = colors[kind]
 
         force = sample.collision_force
         shown = np.hypot(force[:, 0], force[:, 1]) > FORCE_SHOWN
-        top = CAR_FLOOR + CAR_HEIGHT + 0.4
         # The arrow ends at the car that feels the force.
-        for column, share in ((0, -FORCE_SCALE), (1, 0.0)):
-            at = self._arrows[:, column]
-            d[at], d[at + 1], d[at + 2] = x + share * force[:, 0], y + share * force[:, 1], top
+        arrows = np.empty((self._n, 2, 3))
+        arrows[:, 0, :2], arrows[:, 1, :2] = place[:, :2] - FORCE_SCALE * force, place[:, :2]
+        arrows[:, :, 2] = place[:, 2:] + CAR_FLOOR + CAR_HEIGHT + 0.4
+        d[self._arrows] = arrows
         words = self._words
         words[self._actions] = np.where(shown, ADD, DELETE)
 
@@ -313,7 +330,7 @@ class MarkerEncoder:
 
         stamp = divmod(self.context.stamp(sample.time), NANOSECONDS)
         words[self._seconds], words[self._seconds + 1] = stamp
-        return bytes(self._data[: self._size])
+        return bytes(memoryview(self._data)[: self._size])
 
     def _coupler_points(self, sample: Sample) -> NDArray[np.float64]:
         """(2 C, 3) pivots joined by the couplings that hold, m."""
@@ -326,12 +343,82 @@ class MarkerEncoder:
         behind = held + 1
         points[:, 1, 0] = q[behind, 0] + self._pivot[behind] * cos[behind]
         points[:, 1, 1] = q[behind, 1] + self._pivot[behind] * sin[behind]
-        points[:, :, 2] = COUPLER_HEIGHT
+        rise = self._pivot * np.sin(sample.pose[:, 4])  # of the rear pivot over the centre
+        points[:, 0, 2] = (sample.pose[:, 2] + rise)[held] + COUPLER_HEIGHT
+        points[:, 1, 2] = (sample.pose[:, 2] - rise)[behind] + COUPLER_HEIGHT
         return points.reshape(-1, 3)
 
 
-def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
-    """``track_markers``: bed, rails and breaks of a ``derail_msgs/Track`` message.
+def _ribbon(line: NDArray[np.float64], half: float, z: float) -> tuple[NDArray[np.float64], ...]:
+    """Lines ``half`` to the left and to the right of one (K, 3: x, y, heading), at a height, m."""
+    x, y, heading = line.T
+    nx, ny = -np.sin(heading), np.cos(heading)
+    left, right = (
+        np.stack([x + d * nx, y + d * ny, np.full_like(x, z)], axis=1) for d in (half, -half)
+    )
+    return left, right
+
+
+def _strip(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Triangles (6 (K - 1), 3) that fill what lies between two lines."""
+    quads = np.stack([a[:-1], b[:-1], a[1:], a[1:], b[:-1], b[1:]], axis=1)
+    return quads.reshape(-1, 3)
+
+
+def _rails(
+    context: RunContext, time: float, line: NDArray[np.float64], names: tuple[str, str], first: int
+) -> list[Any]:
+    """Bed and rails of a track (K, 3: x, y, heading), the latter numbered from ``first``."""
+    bed = _strip(*_ribbon(line, 0.5 * BED_WIDTH, -0.2))
+    parts: list[Any] = [(names[0], first // 2, TRIANGLE_LIST, BALLAST, FILLED, bed)]
+    for k, rail in enumerate(_ribbon(line, 0.5 * GAUGE, 0.0)):
+        parts.append((names[1], first + k, LINE_STRIP, BLACK, (0.15, 0.0, 0.0), rail))
+    return [_marker(context, time, *part[:4], scale=part[4], points=part[5]) for part in parts]
+
+
+def _site_markers(context: RunContext, time: float, shapes: Sequence[Shape]) -> list[Any]:
+    """What stands beside the track, with its name: second tracks, walls, outlines of ground."""
+    found = []
+    for number, shape in enumerate(shapes):
+        points = shape.points
+        if shape.role == "track":
+            tangent = np.gradient(points, axis=0)
+            heading = np.arctan2(tangent[:, 1], tangent[:, 0])
+            line = np.column_stack([points, heading])
+            names = ("second_track_beds", "second_rails")
+            found += _rails(context, time, line, names, 2 * number)
+        else:
+            ring = np.concatenate([points, points[:1]]) if shape.closed else points
+            low, high = (
+                np.column_stack([ring, np.full(len(ring), z)]) for z in (0.1, WALL_HEIGHT)
+            )
+            kind, size, color, drawn = LINE_STRIP, (0.3, 0.0, 0.0), GREEN, low
+            if shape.role == "fixed":
+                kind, size, color, drawn = TRIANGLE_LIST, FILLED, CONCRETE, _strip(low, high)
+            elif shape.role == "zone":
+                color = SOIL
+            one = _marker(context, time, shape.role, number, kind, color, scale=size, points=drawn)
+            found.append(one)
+        x, y = points.mean(axis=0) if shape.closed else points[len(points) // 2]
+        found.append(
+            _marker(
+                context,
+                time,
+                "site_labels",
+                number,
+                TEXT,
+                position=(x, y, WALL_HEIGHT + 1.0),
+                scale=(0.0, 0.0, 1.5),
+                text=shape.name,
+            )
+        )
+    return found
+
+
+def track_markers(
+    track: Any, context: RunContext, time: float = 0.0, site: Sequence[Shape] = ()
+) -> bytes:
+    """``track_markers``: bed, rails and breaks of a ``derail_msgs/Track`` message, and its site.
 
     The message clears what was shown before and holds everything, since only the last one is kept
     for late subscribers.
@@ -340,40 +427,12 @@ def track_markers(track: Any, context: RunContext, time: float = 0.0) -> bytes:
     turns = np.abs(np.diff(track.heading)) > 1e-12
     kept = np.ones(len(track.s), dtype=bool)
     kept[1:-1] = turns[1:] | turns[:-1]
-    x, y, heading = track.x[kept], track.y[kept], track.heading[kept]
-    nx, ny = -np.sin(heading), np.cos(heading)
-
-    def offset(side: float, z: float) -> NDArray[np.float64]:
-        return np.stack([x + side * nx, y + side * ny, np.full_like(x, z)], axis=1)
-
-    left, right = offset(0.5 * BED_WIDTH, -0.2), offset(-0.5 * BED_WIDTH, -0.2)
-    bed = np.stack([left[:-1], right[:-1], left[1:], left[1:], right[:-1], right[1:]], axis=1)
+    line = np.column_stack([track.x, track.y, track.heading])[kept]
     markers = [
         _marker(context, time, "", 0, CUBE, action=DELETE_ALL),
-        _marker(
-            context,
-            time,
-            "track_bed",
-            0,
-            TRIANGLE_LIST,
-            BALLAST,
-            scale=(1.0, 1.0, 1.0),
-            points=bed.reshape(-1, 3),
-        ),
+        *_rails(context, time, line, ("track_bed", "rails"), 0),
+        *_site_markers(context, time, site),
     ]
-    for number, side in enumerate((0.5 * GAUGE, -0.5 * GAUGE)):
-        markers.append(
-            _marker(
-                context,
-                time,
-                "rails",
-                number,
-                LINE_STRIP,
-                BLACK,
-                scale=(0.15, 0.0, 0.0),
-                points=offset(side, 0.0),
-            )
-        )
     angle = np.interp(track.rail_break_coordinate, track.s, track.heading)
     for number, (s, bx, by) in enumerate(
         zip(track.rail_break_coordinate, track.rail_break_x, track.rail_break_y)

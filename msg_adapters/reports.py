@@ -14,8 +14,9 @@ import numpy as np
 
 from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.measures import MEASURES, TEXT
-from derail_ros.vocabulary.outcome import PARTED_CAUSES, Outcome, Parted
+from derail_ros.vocabulary.outcome import PARTED_CAUSES, Outcome, Parted, StandingOutcome
 from derail_ros.vocabulary.params import DerailmentParams, TrainParams
+from derail_ros.vocabulary.site import Entered, SiteOutcome, Struck
 from derail_ros.vocabulary.status import STATUSES
 from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals, length_over_couplers
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+CUT = "standing_cut"
+"""Key of what ``Consist.more`` says of standing cars: the number of the cut of each, from 1, 0 for
+the train's own."""
 TRACK_SPACING = 10.0
 """Distance between the points that describe the centre line, m."""
 TRACK_POINTS = 5000
@@ -108,6 +112,7 @@ def consist(
         more=[
             quantity("length_over_couplers_m", doubles(map(length_over_couplers, cars)), "m"),
             *(quantity(key, doubles(getattr(c, key) for c in cars)) for key in TRAIN_COUNTS),
+            *([quantity(CUT, params.cut_numbers)] if params.standing else []),
         ],
     )
 
@@ -194,7 +199,7 @@ _EVENT = ("step", "time", "end", "cause", "x", "y", "z", "track_coordinate", "sp
 
 
 def event_from_message(message: Any) -> Event:
-    """The event that a ``derail_msgs/TrainEvent`` tells of.
+    """The event of a ``derail_msgs/TrainEvent``.
 
     Raises
     ------
@@ -225,7 +230,7 @@ def collision(contact: Collision, step: int, context: RunContext) -> Any:
 
 
 def collision_from_message(message: Any) -> Collision:
-    """The contact that a ``derail_msgs/Collision`` tells of."""
+    """The contact of a ``derail_msgs/Collision``."""
     return Collision(**{f.name: getattr(message, f.name) for f in dataclasses.fields(Collision)})
 
 
@@ -338,6 +343,51 @@ def _told_parted(behind: Mapping[str, NDArray[np.float64]]) -> tuple[Parted, ...
     return tuple(sorted(found, key=lambda p: p.time))
 
 
+_FIXED, _STRUCK, _ZONE, _EVER, _NOW = (
+    f"site_{kind}:" for kind in ("fixed", "struck_by", "zone", "ever", "now")
+)
+"""Beginnings of the keys of what came of a run at its place, before the name of the part."""
+
+
+def _site(site: SiteOutcome | None, n: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The place in an outcome: values of bodies, and values of each of ``n`` cars."""
+    if site is None:
+        return {}, {}
+
+    def row(cars: Sequence[int]) -> NDArray[np.float64]:
+        values = np.zeros(n)
+        values[np.array(cars, dtype=int) - 1] = np.arange(1, len(cars) + 1)
+        return values
+
+    bodies = {_FIXED + f.name: [f.force, f.energy, float(f.given_way)] for f in site.fixed}
+    cars = {_STRUCK + f.name: row(f.struck_by) for f in site.fixed}
+    cars |= {_ZONE + name: row(found) for name, found in site.zones}
+    for entered in site.inside:
+        cars |= {_EVER + entered.name: row(entered.ever), _NOW + entered.name: row(entered.now)}
+    return bodies, cars
+
+
+def _told_site(told: dict[str, Any], cars: dict[str, Any]) -> SiteOutcome | None:
+    """The inverse of :func:`_site`; takes what belongs to it out of both."""
+
+    def taken(rows: dict[str, Any], begin: str) -> dict[str, Any]:
+        return {key[len(begin) :]: rows.pop(key) for key in list(rows) if key.startswith(begin)}
+
+    def numbers(row: Any) -> tuple[int, ...]:
+        order = np.argsort(row, kind="stable")
+        return tuple(int(i) + 1 for i in order if row[i] > 0.0)
+
+    bodies, by = taken(told, _FIXED), taken(cars, _STRUCK)
+    zones, ever, now = (taken(cars, begin) for begin in (_ZONE, _EVER, _NOW))
+    if not (bodies or zones or ever):
+        return None
+    return SiteOutcome(
+        tuple(Struck(k, v[0], v[1], numbers(by[k]), int(v[2])) for k, v in bodies.items()),
+        tuple((k, numbers(v)) for k, v in zones.items()),
+        tuple(Entered(k, numbers(v), numbers(now[k])) for k, v in ever.items()),
+    )
+
+
 def outcome_fields(result: Outcome) -> dict[str, Any]:
     """What the message of an outcome says of it."""
     # Nothing is sent for what does not exist, nor for a list without cars: Fast CDR puts bytes
@@ -349,7 +399,9 @@ def outcome_fields(result: Outcome) -> dict[str, Any]:
     ]
     cars = [quantity(key, getattr(result, name)) for key, name in CAR_VALUES.items()]
     cars += [quantity(key, result.pose[:, k]) for key, k in POSE.items()]
-    cars += [quantity(key, values) for key, values in result.car_values.items()]
+    bodies, at_site = _site(result.site, len(result.pose))
+    measures += [quantity(key, values) for key, values in bodies.items()]
+    cars += [quantity(key, values) for key, values in {**result.car_values, **at_site}.items()]
     # of the coupling behind each car: none behind the last one
     behind = {**result.couplings, **_parted(result)} if result.couplings else {}
     cars += [quantity(f"behind_{key}", [*v, math.nan]) for key, v in behind.items()]
@@ -384,7 +436,7 @@ def outcome(
 
 
 def outcome_from_message(message: Any) -> Outcome:
-    """The outcome that a ``derail_msgs/Outcome`` tells of."""
+    """The outcome of a ``derail_msgs/Outcome``."""
     told = {q.key: q.values.tolist() for q in message.measures}
     cars = {q.key: np.array(q.values) for q in message.cars}
 
@@ -394,6 +446,7 @@ def outcome_from_message(message: Any) -> Outcome:
     def whole(key: str) -> int:
         return int(told[key][0]) if told.get(key) else 0
 
+    site = _told_site(told, cars)
     n = len(cars["x_m"])
     pair = [int(c) for c in told.get("peak_force_pair", [])]
     blank = Outcome.nothing(
@@ -431,7 +484,15 @@ def outcome_from_message(message: Any) -> Outcome:
         ),
         couplings={k: v for k, v in behind.items() if k not in _PARTED},
         parted=_told_parted(behind),
+        standing=StandingOutcome(
+            whole("standing_cars"),
+            *(
+                tuple(int(c) for c in told.get(f"standing_{key}", []))
+                for key in ("struck", "moved", "derailed")
+            ),
+        ),
         values={key: values[0] for key, values in told.items() if len(values) == 1},
+        site=site,
         car_values={k: v for k, v in cars.items() if k not in CAR_VALUES and k not in POSE},
         **known,
     )

@@ -7,16 +7,16 @@ those of ``frames``; x is along the car, y to its left, z up.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derail_ros.vocabulary.params import GRAVITY, TrainParams
+from derail_ros.vocabulary.place import Datum
 from msg_adapters.common import SENTINEL, RunContext
 from msg_adapters.definitions import message_class
-from msg_adapters.state import quaternions
 from msg_adapters.templates import Template, marked_header, quaternion, vector
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from derail_ros.vocabulary.sample import Sample
 
-EARTH_AXIS, EARTH_FLATTENING = 6_378_137.0, 1.0 / 298.257223563
-"""Ellipsoid of WGS 84: half axis, m, and flattening."""
 RUNNING_PRESSURE = 620_500.0
 """Pressure above the atmosphere in a charged brake pipe, Pa: 90 psi, usual in North America."""
 VENTING_TIME = 0.5
@@ -35,39 +33,7 @@ PLACES = ("body", "front_truck", "rear_truck")
 """Places of an inertial measurement unit: the mass centre, or the axle boxes of a truck."""
 
 
-@dataclass(frozen=True)
-class Datum:
-    """Where on the Earth the origin of the inertial frame is (WGS 84).
-
-    ``azimuth`` is the direction of its x axis, rad, clockwise from north.
-    """
-
-    latitude: float  # deg, north positive
-    longitude: float  # deg, east positive
-    altitude: float = 0.0  # m above the ellipsoid
-    azimuth: float = 0.5 * math.pi
-
-    def fix(self, x: float, y: float, z: float) -> tuple[float, float, float]:
-        """Latitude, longitude (deg) and altitude (m) of a place of the inertial frame, m.
-
-        By the radii of curvature at the datum, as on a plane that touches the ellipsoid there:
-        1 km away it is right to some centimetres.
-        """
-        c, s = math.cos(self.azimuth), math.sin(self.azimuth)
-        north, east = c * x + s * y, s * x - c * y
-        latitude = math.radians(self.latitude)
-        e2 = EARTH_FLATTENING * (2.0 - EARTH_FLATTENING)
-        w = math.sqrt(1.0 - e2 * math.sin(latitude) ** 2)
-        across = EARTH_AXIS / w + self.altitude
-        along = EARTH_AXIS * (1.0 - e2) / w**3 + self.altitude
-        return (
-            self.latitude + math.degrees(north / along),
-            self.longitude + math.degrees(east / (across * math.cos(latitude))),
-            self.altitude + z,
-        )
-
-
-class Sensor:
+class Sensor(ABC):
     """A sensor at a car (index from 0): ``sensor(sample)`` gives the bytes of its message.
 
     ``noise`` is a standard deviation in the unit of what is measured; ``topic`` and ``msgtype``
@@ -90,12 +56,13 @@ class Sensor:
             self._template = Template(self._message())
         return self._template(self.context.stamp(sample.time), np.asarray(values, dtype=float))
 
+    @abstractmethod
     def _message(self) -> Any:
-        raise NotImplementedError
+        """A message with marks in the place of what changes."""
 
+    @abstractmethod
     def __call__(self, sample: Sample) -> bytes:
         """CDR bytes of the message."""
-        raise NotImplementedError
 
 
 def _in_car(sample: Sample, car: int, along: float) -> tuple[NDArray, NDArray, NDArray]:
@@ -136,7 +103,7 @@ class Odometry(Sensor):
     def __call__(self, sample: Sample) -> bytes:
         i = self.car
         velocity, _, rates = _in_car(sample, i, 0.0)
-        turn = quaternions(sample.pose[i : i + 1])[0]
+        turn = sample.quaternions[i]
         return self._bytes(sample, [*sample.pose[i, :3], *turn, *velocity, *rates])
 
 
@@ -182,7 +149,7 @@ class Imu(Sensor):
     def __call__(self, sample: Sample) -> bytes:
         _, acceleration, rates = _in_car(sample, self.car, self._along)
         felt = self._noisy(acceleration + [0.0, 0.0, GRAVITY])
-        turn = quaternions(sample.pose[self.car : self.car + 1])[0]
+        turn = sample.quaternions[self.car]
         return self._bytes(sample, [*turn, *self._noisy(rates, self._turn_noise), *felt])
 
 

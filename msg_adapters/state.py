@@ -5,6 +5,7 @@ Flat arrays only; an encoder is made once a run and serialises straight from the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -28,19 +29,21 @@ POSE_DOUBLES = 7
 """x, y, z and the quaternion x, y, z, w."""
 
 
-def quaternions(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 4) quaternions x, y, z, w of poses (N, 6) that end with roll, pitch, yaw (rad)."""
-    half = 0.5 * pose[:, 3:6]
-    (sr, sp, sy), (cr, cp, cy) = np.sin(half).T, np.cos(half).T
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=-1,
-    )
+def above(
+    pose: NDArray[np.float64], height: NDArray[np.float64], level: float
+) -> NDArray[np.float64]:
+    """(N, 3) places of the point of each car that stands ``level`` m over the rail at rest, m.
+
+    A car turns about its centre of gravity, at rest at ``height`` (N,) over the rail: with u its
+    upward axis and e_z that of space, the point is at ``(x, y, z + level) + (level - height)
+    (u - e_z)``.
+    """
+    place = pose[:, :3] + np.array([0.0, 0.0, level])
+    if not pose[:, 3:5].any():
+        return np.asarray(place)
+    (sr, sp, sy), (cr, cp, cy) = np.sin(pose[:, 3:6]).T, np.cos(pose[:, 3:6]).T
+    lean = np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr - 1.0], axis=-1)
+    return np.asarray(place + (level - height)[:, None] * lean)
 
 
 class PoseEncoder:
@@ -67,15 +70,16 @@ class PoseEncoder:
         """CDR bytes of ``geometry_msgs/PoseArray``: the mass centres, in order of the cars."""
         self._stamp[:] = divmod(self.context.stamp(sample.time), NANOSECONDS)
         self._poses[:, 0:3] = sample.pose[:, 0:3]
-        self._poses[:, 3:7] = quaternions(sample.pose)
+        self._poses[:, 3:7] = sample.quaternions
         return bytes(self._data)
 
 
 class FlatEncoder:
     """Bytes of a message of numbers and arrays of which only the numbers are renewed.
 
-    Texts and lengths of arrays are those of the message given. Arrays of ``Quantity`` are renewed
-    by the name of their field and their key: ``("more", "height_m")``.
+    Texts and lengths of arrays are those of the message given, and so are the numbers that it is
+    not called with. Arrays of ``Quantity`` are mappings from their keys. Arrays that follow each
+    other in the message may be given as rows of one: ``("x", "y"): (2, N)``.
     """
 
     def __init__(self, message: Any) -> None:
@@ -84,6 +88,10 @@ class FlatEncoder:
         self._buffer = bytearray(bytes(PAD) + data)
         self._stamp = np.frombuffer(self._buffer, "<u4", 2, PAD + 4)
         self._views: dict[Any, NDArray[Any]] = {}
+        self._places: dict[Any, int] = {}
+        self._doubles = np.frombuffer(self._buffer, "<f8", (len(self._buffer) - START) // 8, START)
+        self._plan: list[tuple[Any, Any, NDArray[Any]]] = []
+        self._singles: list[tuple[str, list[str], NDArray[np.int64]]] = []
         self._at = START
         for name, kind in fields_of(message.__msgtype__):
             if kind == "std_msgs/msg/Header":
@@ -121,13 +129,44 @@ class FlatEncoder:
         if count:
             self._at += -self._at % dtype.itemsize
             self._views[name] = np.frombuffer(self._buffer, dtype, count, self._at)
+            self._places[name] = self._at
             self._at += count * dtype.itemsize
 
+    def _rows(self, names: tuple[str, ...]) -> NDArray[Any]:
+        """Arrays of the message as rows of one: there is as much between each and the next."""
+        first, places = self._views[names[0]], [self._places[name] for name in names]
+        gap = places[1] - places[0]
+        same = all(self._views[name].dtype == first.dtype for name in names)
+        if not same or places != [places[0] + k * gap for k in range(len(names))]:
+            raise ValueError(f"{', '.join(names)} are not rows of one array")
+        shape, strides = (len(names), len(first)), (gap, first.itemsize)
+        return np.ndarray(shape, first.dtype, self._buffer, places[0], strides)
+
+    def _lay_out(self, fields: Mapping[Any, Any]) -> None:
+        """Find the places of fields: name, key of a mapping, view."""
+        for name, value in fields.items():
+            if isinstance(value, Mapping):
+                keys = [key for key in value if (name, key) in self._views]
+                if keys and all(np.ndim(value[key]) == 0 for key in keys):
+                    places = [(self._places[name, key] - START) // 8 for key in keys]
+                    self._singles.append((name, keys, np.array(places)))
+                else:
+                    self._plan += [(name, key, self._views[name, key]) for key in keys]
+            elif isinstance(name, tuple) and name[0] in self._views:
+                self._plan.append((name, None, self._rows(name)))
+            elif name in self._views:
+                self._plan.append((name, None, self._views[name]))
+
     def __call__(self, stamp: int, fields: Mapping[Any, Any]) -> bytes:
-        """CDR bytes with another time (ns) and other numbers."""
+        """CDR bytes with another time (ns) and other numbers, of the same fields in each call."""
+        if not self._plan:
+            self._lay_out(fields)
         self._stamp[:] = divmod(stamp, NANOSECONDS)
-        for name, view in self._views.items():
-            view[...] = fields[name[0]][name[1]] if isinstance(name, tuple) else fields[name]
+        for name, key, view in self._plan:
+            view[...] = fields[name] if key is None else fields[name][key]
+        for name, keys, places in self._singles:
+            values = fields[name]
+            self._doubles[places] = [values[key] for key in keys]
         return bytes(memoryview(self._buffer)[PAD:])
 
 
@@ -138,47 +177,41 @@ class StateEncoder:
         self.context = context
         self.poses = PoseEncoder(len(params.cars), context)
         self._encoders: dict[str, FlatEncoder] = {}
+        self._makers = {
+            "train_state": (self.train_state, self._train_state),
+            "coupler_states": (self.coupler_states, self._couplers),
+            "energy": (self.energy, self._energy),
+        }
 
     def train_state(self, s: Sample) -> Any:
         """``derail_msgs/TrainState`` of a sample."""
         return self._message("derail_msgs/msg/TrainState", self._train_state(s))
 
-    def _train_state(self, s: Sample) -> dict[str, Any]:
-        pose, velocity, acceleration = s.pose.T, s.velocity.T, s.acceleration.T
-        ground = s.ground_truck_force.transpose(1, 2, 0)
-        body = s.ground_body_force.T
-        collision = s.collision_force.T
-        external = s.external_force.T
+    def _train_state(self, s: Sample) -> dict[Any, Any]:
         return {
             "step": s.step,
             "time": s.time,
-            **dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), pose)),
-            **dict(zip(("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate"), velocity)),
-            **dict(zip(_ACCELERATIONS, acceleration)),
-            **_ends("coupler_angle", s.coupler_yaw),
-            **_ends("coupler_rate", s.coupler_rate),
-            **_ends("coupler_acceleration", s.coupler_acceleration),
-            **_ends("truck_status", s.truck_on),
-            **_ends("track_coordinate", s.truck_coordinate),
-            **_ends("rail_force", s.rail_force),
+            _POSE: s.pose.T,
+            _VELOCITY: s.velocity.T,
+            _ACCELERATION: s.acceleration.T,
+            _ends("coupler_angle"): s.coupler_yaw.T,
+            _ends("coupler_rate"): s.coupler_rate.T,
+            _ends("coupler_acceleration"): s.coupler_acceleration.T,
+            _ends("truck_status"): s.truck_on.T,
+            _ends("track_coordinate"): s.truck_coordinate.T,
+            _ends("rail_force"): s.rail_force.T,
             "brake_force": s.brake_force,
-            "ground_force_front_x": ground[0, 0],
-            "ground_force_front_y": ground[0, 1],
-            "ground_force_rear_x": ground[1, 0],
-            "ground_force_rear_y": ground[1, 1],
-            "ground_force_body_x": body[0],
-            "ground_force_body_y": body[1],
+            _GROUND: s.ground_truck_force.reshape(-1, 4).T,
+            _plane("ground_force_body"): s.ground_body_force.T,
             "ground_moment": s.ground_moment,
-            "collision_force_x": collision[0],
-            "collision_force_y": collision[1],
+            _plane("collision_force"): s.collision_force.T,
             "collision_moment": s.collision_moment,
             "largest_corner_force": self._largest(s),
             "corner_force": s.corner_force.reshape(-1),
             "corner_gap": s.corner_gap.reshape(-1),
             "corner_closing_speed": s.corner_closing_speed.reshape(-1),
             "corner_other_car": s.corner_other.reshape(-1),
-            "external_force_x": external[0],
-            "external_force_y": external[1],
+            _plane("external_force"): s.external_force.T,
             "external_moment": s.external_moment,
             "more": s.cars,
         }
@@ -197,38 +230,40 @@ class StateEncoder:
         """``derail_msgs/CouplerStates`` of a sample."""
         return self._message("derail_msgs/msg/CouplerStates", self._couplers(s))
 
-    def _couplers(self, s: Sample) -> dict[str, Any]:
-        force = s.coupler_force.T
+    def _couplers(self, s: Sample) -> dict[Any, Any]:
         return {
             "step": s.step,
             "time": s.time,
             "coupled": s.coupled,
             "relative_angle": s.relative_angle,
             "knuckle_moment": s.knuckle_moment,
-            "constraint_force_x": force[0],
-            "constraint_force_y": force[1],
+            _plane("constraint_force"): s.coupler_force.T,
             "axial_force": s.axial_force,
             "gap_error": s.coupler_gap,
-            **_ends("striker_force", s.striker_force),
+            _ends("striker_force"): s.striker_force.T,
             "more": s.couplings,
         }
 
     def energy(self, s: Sample) -> Any:
         """``derail_msgs/EnergyLedger`` of a sample."""
-        return self._message("derail_msgs/msg/EnergyLedger", self._energy(s))
-
-    def _energy(self, s: Sample) -> dict[str, Any]:
         known = [e for e in ENERGY_ENTRIES.values() if e.key in s.energy]
-        return {
-            "step": s.step,
-            "time": s.time,
-            "entries": {e.key: [s.energy[e.key]] for e in known},
-            "roles": [e.role for e in known],
-        }
+        entries = {e.key: [s.energy[e.key]] for e in known}
+        roles = [e.role for e in known]
+        fields = self._energy(s) | {"entries": entries, "roles": roles}
+        return self._message("derail_msgs/msg/EnergyLedger", fields)
 
-    def _message(self, kind: str, fields: Mapping[str, Any]) -> Any:
+    def _energy(self, s: Sample) -> dict[Any, Any]:
+        return {"step": s.step, "time": s.time, "entries": s.energy}
+
+    def _message(self, kind: str, rows: Mapping[Any, Any]) -> Any:
         """The message with these fields, as a serialiser wants them."""
         types = dict(fields_of(kind))
+        fields: dict[str, Any] = {}
+        for name, value in rows.items():
+            if isinstance(name, tuple):
+                fields.update(zip(name, value))
+            else:
+                fields[name] = value
         arrays: dict[str, Any] = {}
         for name, value in fields.items():
             of = types[name].removesuffix("[]")
@@ -242,28 +277,38 @@ class StateEncoder:
             header=header, run_id=self.context.run_id, **{**fields, **arrays}
         )
 
-    def _bytes(self, kind: str, fields: Mapping[str, Any]) -> bytes:
-        encoder = self._encoders.get(kind)
+    def _bytes(self, topic: str, sample: Sample) -> bytes:
+        message, fields_of_sample = self._makers[topic]
+        encoder = self._encoders.get(topic)
         if encoder is None:
-            encoder = self._encoders[kind] = FlatEncoder(self._message(kind, fields))
-        return encoder(self.context.stamp(fields["time"]), fields)
+            encoder = self._encoders[topic] = FlatEncoder(message(sample))
+        return encoder(self.context.stamp(sample.time), fields_of_sample(sample))
 
     def encode(self, sample: Sample) -> list[tuple[str, bytes]]:
         """Topic name and CDR bytes of each state message of a sample."""
         return [
             ("car_poses", self.poses(sample)),
-            ("train_state", self._bytes("derail_msgs/msg/TrainState", self._train_state(sample))),
-            (
-                "coupler_states",
-                self._bytes("derail_msgs/msg/CouplerStates", self._couplers(sample)),
-            ),
-            ("energy", self._bytes("derail_msgs/msg/EnergyLedger", self._energy(sample))),
+            *((topic, self._bytes(topic, sample)) for topic in self._makers),
         ]
 
 
-_ACCELERATIONS = ("ax", "ay", "az", "roll_acceleration", "pitch_acceleration", "yaw_acceleration")
+_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+_VELOCITY = ("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate")
+_ACCELERATION = (
+    "ax", "ay", "az", "roll_acceleration", "pitch_acceleration", "yaw_acceleration"
+)  # fmt: skip
 
 
-def _ends(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Two fields of a message from the two columns of an array: front and rear."""
-    return {f"{name}_front": values[:, 0], f"{name}_rear": values[:, 1]}
+@functools.cache
+def _ends(name: str) -> tuple[str, str]:
+    """Names of two fields: front and rear."""
+    return f"{name}_front", f"{name}_rear"
+
+
+@functools.cache
+def _plane(name: str) -> tuple[str, str]:
+    """Names of two fields: x and y."""
+    return f"{name}_x", f"{name}_y"
+
+
+_GROUND = _plane("ground_force_front") + _plane("ground_force_rear")

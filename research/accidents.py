@@ -100,7 +100,7 @@ def write(options: Options, scope: Scope | None = None) -> None:
     first, last = found.statistics.years
     outside = len(reports) - sum(c.reports for c in found.statistics.groups["all"])
     about = (
-        f"<sub>`python -m research accidents FILES` with the {len(options.names)} files of "
+        f"<sub>`python -m research accidents FILES` with {count(len(options.names), 'file')} of "
         f"{first} to {last}: {len(reports)} freight trains derailed on main track, {outside} of "
         f"them at speeds outside {CLASSES_TEXT}, which are in no table. One run a train and "
         f"model, no ensemble; of all causes at most {scope.every} trains of a class of speed, "

@@ -38,7 +38,8 @@ class Options:
     members: int | None = None  # runs each; None: the page's own number
     seed: int = 0
     jobs: int | None = None  # runs at a time
-    results: Path | None = None  # folder of results that are there (studies)
+    results: Path | None = None  # folder of results that are there (studies, bank)
+    check: bool = False  # calibration: compare this engine with the bank's
 
     def images(self) -> Path:
         """The folder ``images`` beside the page, made if it is not there."""

@@ -111,6 +111,7 @@ class BarEngine:
     """As ``derail_ros.models`` offers it."""
 
     name = "bar"
+    words = "a bar"
     features = frozenset({"energy"})
     build = staticmethod(BarSimulation)
     load = staticmethod(BarSimulation.from_bytes)

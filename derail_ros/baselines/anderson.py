@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, Rows, State, Work
+from derail_ros.engine.blocks import no_blocks
 from derail_ros.engine.dynamics import constraint_gamma, project_positions, project_velocities
 from derail_ros.engine.forces.brakes import apply_brakes, brake_forces, next_application
 from derail_ros.engine.forces.pushes import next_push, push_forces
@@ -149,7 +150,7 @@ def applied_forces(
     mu = own[S_MU]
     wk = work.wk
     force = work.force
-    angles(q, wk, work.ang)
+    angles(q, wk, work.ang, work.live)
     for i in range(n):
         for k in range(5):
             force[i, k] = 0.0
@@ -207,11 +208,12 @@ def rates(
 
 @jit
 def stored_energy(
-    model: Model, springs: Springs, q: F64, v: F64, wk: Rows, ang: F64
+    model: Model, springs: Springs, q: F64, v: F64, work: Work
 ) -> tuple[float, float]:
     """Kinetic energy of the cars and energy of the springs, J."""
     keep_separate()
-    angles(q, wk, ang)
+    wk = work.wk
+    angles(q, wk, work.ang, work.live)
     kinetic = 0.0
     spring = 0.0
     for i in range(q.shape[0]):
@@ -417,7 +419,7 @@ def advance(model: Model, state: State, work: Work, springs: Springs, t_target: 
             for s in range(6):
                 total += RKF[RKF_B, s] * work.kp[s, k]
             state.energy[k] += h * total
-        before, spring = stored_energy(model, springs, q1, v1, work.wk, work.ang)
+        before, spring = stored_energy(model, springs, q1, v1, work)
         before += spring
         for i in range(n):
             for k in range(3):
@@ -426,7 +428,7 @@ def advance(model: Model, state: State, work: Work, springs: Springs, t_target: 
         if not project_positions(model, state, work, q1):
             return SINGULAR
         project_velocities(model, state, work, v1)
-        after, spring = stored_energy(model, springs, q1, v1, work.wk, work.ang)
+        after, spring = stored_energy(model, springs, q1, v1, work)
         state.energy[layout.E_STAB_NET] += after + spring - before
         state.energy[layout.E_STAB_GROSS] += abs(after + spring - before)
         clock.t_prev = t
@@ -537,6 +539,7 @@ class AndersonModel:
         start = PlanarSimulation(params)
         self.track = start.track
         self._model, self._state, self._work = start._model, start._state, start._work
+        no_blocks(self._work)
         plain_masses(self._model, self._work.wk)
         n = len(params.cars)
         s = self._state
@@ -553,7 +556,7 @@ class AndersonModel:
 
     def _stored(self) -> tuple[float, float]:
         s = self._state
-        return stored_energy(self._model, self._springs, s.q, s.v, self._work.wk, self._work.ang)
+        return stored_energy(self._model, self._springs, s.q, s.v, self._work)
 
     @property
     def time(self) -> float:

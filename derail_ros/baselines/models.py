@@ -129,6 +129,8 @@ def run_model(
     own = dict(constants or {})
     if unknown := sorted(set(own) - set(MODELS[name].constants)):
         raise ModelError(f"{name} has no constant {unknown[0]!r}")
+    if name != PLANAR:  # the others know no second tracks
+        params = params.alone
     began = time.perf_counter()
     record, scene, notes = MODELS[name].run(params, Request(roll, own, progress))
     record["wall_s"] = finite(time.perf_counter() - began, 6)

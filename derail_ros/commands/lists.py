@@ -33,7 +33,7 @@ def models(as_json: Json = False) -> int:
             "name": name,
             "engine": name in names,
             "features": sorted(engines.engine(name).features) if name in names else [],
-            "words": MODELS[name].words if name in MODELS else "",
+            "words": (MODELS[name] if name in MODELS else engines.engine(name)).words,
         }
         for name in dict.fromkeys([*names, *MODELS])
     ]

@@ -1,4 +1,4 @@
-"""What ``derail`` tells of the model: validate, sensitivity, spread, convergence."""
+"""The commands that test the model: validate, sensitivity, spread, convergence."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def run(
         bars.update(task, completed=1, total=members, state="")
         records += results.members(
             params, 1, members, seed, jobs, lambda job, stop: run_job(model, job, stop).record,
-            lambda: bars.update(task, advance=1),
+            lambda _: bars.update(task, advance=1),
         )  # fmt: skip
     notes = {} if first is None else first.notes
     report = results.report_of(scenario, model, None if ensemble is None else seed, records, notes)

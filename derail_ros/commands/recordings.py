@@ -14,6 +14,7 @@ import typer
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, CommandFailure, note
 from derail_ros.commands.options import Bag, Json, Namespace, NewDir, Texts, WhichRun, written
+from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
@@ -118,8 +119,17 @@ def export(
     form: Annotated[str, typer.Option("--format", help="csv or parquet.")] = "csv",
     run: WhichRun = None,
     namespace: Namespace = None,
+    geo: Annotated[
+        bool, typer.Option("--geo", help="Write GeoJSON and KML of the scene, not tables.")
+    ] = False,
+    members: Annotated[
+        int,
+        typer.Option(
+            min=0, help="With --geo: runs of its scenario, for the ground that cars may cover."
+        ),
+    ] = 0,
 ) -> int:
-    """Write the histories of the cars in a recording as tables."""
+    """Write the histories of the cars in a recording as tables, or the scene as maps."""
     from derail_ros.review.histories import FORMATS, export
 
     if form not in FORMATS:
@@ -131,12 +141,47 @@ def export(
             raise CommandFailure(
                 "--format parquet needs pyarrow: pip install 'derail_ros[studies]'"
             ) from None
+    if members and not geo:
+        raise CommandFailure("--members: only goes with --geo")
     found = read(bag, run, namespace)
     output = common.output_directory(output)
+    if geo:
+        return _export_maps(found, output, members)
     with bag_errors():
         counts = export(found, output, form)
     for name, rows in counts.items():
         print(f"{output / name}  {rows} rows")
+    return OK
+
+
+def _export_maps(found: RecordedRun, output: Path, members: int) -> int:
+    """Write the scene of a recording as GeoJSON and KML."""
+    from derail_ros.review import maps
+
+    footprints = []
+    if members:
+        import yaml
+
+        from derail_ros.scenario import ScenarioError, loads_scenario
+        from derail_ros.studies.ensemble import ensemble_jobs, run_many
+        from derail_ros.studies.members import Members
+
+        try:
+            scenario = loads_scenario(yaml.safe_dump(found.scenario), found.name)
+        except ScenarioError as error:
+            reason = f"its scenario cannot be read: {error}"
+            raise CommandFailure(f"{found.path}: {reason}") from None
+        common.warm_up()
+        kept = Members()
+        for result in run_many(ensemble_jobs(scenario, members)):
+            kept.add(result.job.member, result.outcome, result.job.params().cars)
+        footprints = kept.footprints()
+    with bag_errors():
+        counts = maps.export(found, output, footprints)
+    for name, features in counts.items():
+        print(f"{output / name}  {count(features, 'feature')}")
+    if "run.kml" not in counts:
+        note("derail: the scenario has no site.datum: coordinates are metres, and there is no KML")
     return OK
 
 
@@ -185,7 +230,7 @@ def check_times(start: float | None, end: float | None, first: float, last: floa
 
 def animate(
     bag: Bag,
-    output: Annotated[Path, written("Film to write; its name ends in .mp4 or .gif.", "FILE")],
+    output: Annotated[Path, written("Film (.mp4, .gif) or still (.png) to write.", "FILE")],
     run: WhichRun = None,
     namespace: Namespace = None,
     fps: Annotated[
@@ -199,11 +244,27 @@ def animate(
     ] = None,
     start: Annotated[float | None, typer.Option(help="Begin at this time, s.")] = None,
     end: Annotated[float | None, typer.Option(help="End at this time, s.")] = None,
+    view: Annotated[str, typer.Option(help="top, or 3d (needs MuJoCo and OpenGL).")] = "top",
 ) -> int:
-    """Make a film of a recording, seen from above."""
-    from derail_ros.review.film import FilmError, film, kind_of
+    """Make a film of a recording, or a still of the time --end."""
+    from derail_ros.review.film import FilmError, Stage, film, kind_of, still
 
+    if view not in ("top", "3d"):
+        raise CommandFailure(f"--view: must be top or 3d, got {view!r}")
+    stage = Stage
+    if view == "3d":
+        from derail_ros.review.film3d import Stage3D
+
+        stage = Stage3D
     try:
+        if output.suffix.lower() == ".png":
+            found = read(bag, run, namespace)
+            check_times(start, end, float(found.time[0]), float(found.time[-1]))
+            with bag_errors():
+                output.parent.mkdir(parents=True, exist_ok=True)
+                still(found, output, width, float(found.time[-1]) if end is None else end, stage)
+            print(output)
+            return OK
         kind_of(output)
         found = read(bag, run, namespace)
         check_times(start, end, float(found.time[0]), float(found.time[-1]))
@@ -214,10 +275,68 @@ def animate(
             def tell(done: int, total: int) -> None:
                 bars.update(task, completed=done, total=total)
 
-            count = film(found, output, fps, rate, width, start, end, tell)
+            count = film(found, output, fps, rate, width, start, end, tell, stage)
     except FilmError as error:
         raise CommandFailure(str(error)) from None
     print(f"{output}: {count} pictures, {output.stat().st_size / 1e6:.1f} MB")
+    return OK
+
+
+def view3d(
+    bag: Bag,
+    run: WhichRun = None,
+    namespace: Namespace = None,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
+) -> int:
+    """Show a recording in three dimensions in the browser."""
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise CommandFailure("view3d needs viser: pip install 'derail_ros[spatial]'") from None
+    from derail_ros.review.view3d import View
+
+    view = View(read(bag, run, namespace), port)
+    print(f"{view.address}  (Ctrl-C ends it)", flush=True)
+    try:
+        view.run_for()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        view.server.stop()
+    return OK
+
+
+def export_world(
+    bag: Bag,
+    output: Annotated[Path, written("File to write.", "FILE")],
+    form: Annotated[str, typer.Option("--format", help="mjcf, sdf or gltf.")] = "mjcf",
+    at: Annotated[float | None, typer.Option(help="Time, s; default: the end.")] = None,
+    run: WhichRun = None,
+    namespace: Namespace = None,
+) -> int:
+    """Write the wreck as a world for other simulators."""
+    from derail_ros.review.world import FORMATS, World, write
+
+    if form not in FORMATS:
+        raise CommandFailure(f"--format: must be {', '.join(FORMATS)}, got {form!r}")
+    if form == "gltf":
+        try:
+            import trimesh  # noqa: F401
+        except ImportError:
+            raise CommandFailure(
+                "--format gltf needs trimesh: pip install 'derail_ros[spatial]'"
+            ) from None
+    found = read(bag, run, namespace)
+    last = float(found.time[-1])
+    if at is not None and not float(found.time[0]) <= at <= last:
+        raise CommandFailure(f"--at: must lie within {found.time[0]:g} and {last:g} s, got {at:g}")
+    world = World.of(found, last if at is None else at)
+    with bag_errors():
+        write(world, form, output)
+    free = int(world.free.sum())
+    print(f"{output}: {count(len(world.bodies), 'car')}, {free} free, at {world.time:.2f} s")
+    if found.model == PLANAR and free:
+        note("derail: a planar run lets cars overlap: they move apart in such a world")
     return OK
 
 

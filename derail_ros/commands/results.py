@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from derail_ros.commands import common
 from derail_ros.commands.common import FAILED, OK, note
-from derail_ros.studies.ensemble import Task, ensemble_jobs, run_many
+from derail_ros.studies.ensemble import JobResult, Task, ensemble_jobs, run_many
 from derail_ros.studies.records import Ensemble, record_of
 from derail_ros.studies.tables import Table
 from derail_ros.vocabulary.ledger import SMALL_SHARE, percentages, shares
@@ -21,12 +21,14 @@ from derail_ros.vocabulary.measures import (
     NUMERICS,
     SCHEMA,
     SCHEMA_VERSION,
+    Measure,
     Record,
     counted,
     record_numbers,
 )
+from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.status import TIME_LIMIT, VOID
-from derail_ros.vocabulary.words import count
+from derail_ros.vocabulary.words import capital, count, force
 
 if TYPE_CHECKING:
     from derail_ros.scenario import Scenario
@@ -40,21 +42,21 @@ REMARKS = {
 
 
 def members(
-    params: TrainParams,
+    scenario: Scenario | TrainParams,
     done: int,
     total: int,
     seed: int,
     jobs: int | None,
     task: Task,
-    tell: Callable[[], object],
+    tell: Callable[[JobResult], object],
 ) -> list[Record]:
-    """Records of the members of an ensemble from number ``done`` on; ``tell()`` after each."""
-    runs = islice(ensemble_jobs(params, total, seed=seed), done, None)
+    """Records of the members of an ensemble from number ``done`` on; ``tell`` gets each result."""
+    runs = islice(ensemble_jobs(scenario, total, seed=seed), done, None)
     found = {}  # records and not outcomes: there may be thousands
     with closing(run_many(runs, jobs=jobs, task=task)) as results:
         for result in results:
             found[result.job.member] = record_of(result, whole=True)
-            tell()
+            tell(result)
     return [found[member] for member in sorted(found)]
 
 
@@ -65,8 +67,13 @@ def report_of(
     records: Sequence[Record],
     notes: Mapping[str, Any],
     warnings: Sequence[str] = (),
+    limits: Sequence[str] = (),
+    inputs: Sequence[Mapping[str, Any]] = (),
 ) -> Record:
-    """The runs of a scenario as plain data; ``seed`` is None for a single run."""
+    """The runs of a scenario as plain data; ``seed`` is None for a single run.
+
+    ``limits`` are those of the first run (``vocabulary.limits``), ``inputs`` what each drew.
+    """
     found = Ensemble(tuple(records))
     return {
         "schema": SCHEMA,
@@ -74,6 +81,8 @@ def report_of(
         "scenario": scenario.name,
         "title": scenario.title,
         "hash": scenario.hash,
+        "constants": scenario.constants,
+        "one_draw": one_draw(scenario),
         "seed": seed,
         "members": len(found),
         "void": found.void,
@@ -81,10 +90,25 @@ def report_of(
         "outcomes": list(records),
         "mean": found.mean(),
         "sd": found.sd(),
+        "site": found.site(),
         "model": model,
         "notes": dict(notes),
         "warnings": [*scenario.warnings, *warnings],
+        "limits": list(limits),
+        "inputs": list(map(dict, inputs)),
     }
+
+
+def one_draw(scenario: Scenario) -> str:
+    """That a run is one draw, and the band of such accidents; without a run, of the planar model.
+
+    "" where there is nothing to say: a train without a break or a derailed truck.
+    """
+    from derail_ros.predict.prediction import quick_band
+
+    if scenario.model.model != PLANAR:
+        return ""
+    return quick_band(scenario.to_params())
 
 
 def finish(
@@ -115,7 +139,7 @@ def write(
 
     common.write_json(output / "outcomes.json", report)
     if report["members"] > 1:
-        write_csv(output / "outcomes.csv", report["outcomes"])
+        write_csv(output / "outcomes.csv", report["outcomes"], report["inputs"])
     common.write_json(
         output / "manifest.json",
         {
@@ -136,9 +160,10 @@ def write(
     )
 
 
-def write_csv(path: Path, records: Sequence[Record]) -> None:
-    """One row per member: its measures, lists of cars as their number."""
+def write_csv(path: Path, records: Sequence[Record], inputs: Sequence[Record] = ()) -> None:
+    """One row per member: what it drew, its measures, lists of cars as their number."""
     rows = []
+    drawn = list(dict.fromkeys(name for one in inputs for name in one))
     for i, record in enumerate(records):
         pair = record.get("peak_force_pair")
         rows.append(
@@ -148,6 +173,7 @@ def write_csv(path: Path, records: Sequence[Record]) -> None:
                 "void": int(bool(record.get("void", False))),
                 "error": record.get("error", ""),
                 "peak_force_pair": "" if pair is None else f"{pair[0]}-{pair[1]}",
+                **({name: inputs[i].get(name, "") for name in drawn}),
                 **record_numbers(record),
             }
         )
@@ -168,45 +194,69 @@ def _print(report: Record, output: Path | None, verbose: bool, about: Sequence[s
     console.print(f"[bold]{escape(report['scenario'])}[/bold]  {escape(report['title'])}")
     groups = (HEADLINE, NUMERICS) if verbose else (HEADLINE,)
     if report["members"] == 1:
-        common.print_tables(_one_run(report["outcomes"][0], groups))
+        common.print_tables(_one_run(report["outcomes"][0], groups, report["constants"]))
     else:
         common.print_tables(_many_runs(report, groups))
         console.print(_counts(report))
-    for line in about:
+    for line in (*(f"{capital(said)}." for said in report["limits"]), *about):
         console.print(escape(line), soft_wrap=True)
     if output is not None:
         which = ""
         if report["members"] > 1:
             which = (
-                f": outcomes of all {report['members']} runs; recording and figures of member 0"
+                f": outcomes, final poses and pictures of all {report['members']} runs; "
+                "recording, scene and forces of member 0"
             )
         console.print(f"results in {escape(str(output))}{which}", soft_wrap=True)
 
 
-def _one_run(record: Record, groups: Sequence[str]) -> Table:
+LEAD = ("cars_derailed", "derailed_cars", "scene_length_m", "scene_width_m", "duration_s")
+"""Measures that lead a table of outcomes: they hold best (docs/validation.md)."""
+
+
+def _ordered(groups: Sequence[str]) -> list[Measure]:
+    """The measures of a table, in its order."""
+    lead = [MEASURES[key] for key in LEAD]
+    return lead + [m for m in MEASURES.values() if m.group in groups and m.key not in LEAD]
+
+
+def _one_run(record: Record, groups: Sequence[str], constants: str) -> Table:
     if "error" in record:
         return Table(("outcome", ""), [("failed", record["error"])], texts=2)
     rows = [("status", record["status"] + REMARKS.get(record["status"], ""))]
+    rows.append(("constants", constants))
     rows.append(("train", record["train"]["text"]))
     if record.get("braked") is False:
         rows.append(("brakes", "never applied"))
-    rows += [(m.title, m.shown(record.get(m.key))) for m in MEASURES.values() if m.group in groups]
+    measures = [
+        (m.title, m.shown(record.get(m.key)))
+        for m in _ordered(groups)
+        if m.everywhere or record.get(m.key) is not None
+    ]
+    # One row for how many and which.
+    rows += [("cars derailed", measures[1][1]), *measures[2 : len(LEAD)]]
     ranked = [(e.words, share) for e, _, share in shares(record.get("energy_J") or {})]
     large = [(words, share) for words, share in ranked if share >= SMALL_SHARE]
     numbers = percentages([share for _, share in large])
     if large:
         parts = (f"{words} {n} %" for (words, _), n in zip(large, numbers))
-        rows.append(("stopped by", ", ".join(parts)))
-    return Table(("outcome", ""), rows, texts=2)
+        rows.append(("stopped by (share of energy)", ", ".join(parts)))
+    if record.get("peak_force_pair"):
+        a, b = record["peak_force_pair"]
+        hard = f"struck hardest, {force(record['peak_force_N'])} by car {a}"
+        rows.append(("car to look at", f"{b}: {hard} at {record['peak_force_time_s']:.2f} s"))
+    elif record.get("derailed_cars"):
+        rows.append(("car to look at", f"{record['first_derailed']}: the first off the rails"))
+    return Table(("outcome", ""), rows + measures[len(LEAD) :], texts=2)
 
 
 def _many_runs(report: Record, groups: Sequence[str]) -> Table:
     good = [record_numbers(r) for r in report["outcomes"] if counted(r)]
     first = record_numbers(report["outcomes"][0])
     rows = []
-    for m in MEASURES.values():
+    for m in _ordered(groups):
         values = [r[m.key] for r in good if m.key in r]
-        if values and m.group in groups:
+        if values:
             spread = (m.shown(report[k].get(m.key), 1) for k in ("mean", "sd"))
             ends = (m.shown(v) for v in (min(values), max(values), first.get(m.key)))
             rows.append((m.title, *spread, *ends))
@@ -215,7 +265,7 @@ def _many_runs(report: Record, groups: Sequence[str]) -> Table:
 
 def _counts(report: Record) -> str:
     """How many runs there were, and which of them did not count."""
-    text = count(report["members"], "run")
+    text = f"{count(report['members'], 'run')}, constants {report['constants']}"
     if report["void"]:
         text += f", {report['void']} void and not counted"
     if report["failed"]:

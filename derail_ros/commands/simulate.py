@@ -24,6 +24,7 @@ from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.words import count
 
 if TYPE_CHECKING:
+    from derail_ros.review.scene import Scene
     from derail_ros.scenario import Scenario
     from derail_ros.vocabulary.measures import Record
     from derail_ros.vocabulary.params import TrainParams
@@ -34,13 +35,15 @@ def run(
     scenario: ScenarioName,
     settings: Settings = None,
     ensemble: Annotated[
-        int | None, runs("Runs; all but the first vary the lateral force by up to 4 %.", 1)
+        int | None,
+        runs("Runs; all but the first draw what is uncertain, or vary the push by 4 %.", 1),
     ] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
     as_json: Json = False,
     output: Annotated[
-        Path | None, written("Write a recording, figures, outcomes and a manifest there.")
+        Path | None,
+        written("Write recording, figures, outcomes, all members and a manifest there."),
     ] = None,
     model: Annotated[
         str | None, of_model("Name of a model, see `derail models`; default: planar.")
@@ -55,7 +58,8 @@ def run(
     """Run a scenario until the train is at rest, and show the outcome. Needs no ROS."""
     from derail_ros import models as engines
     from derail_ros.commands import results
-    from derail_ros.studies.ensemble import VARIATION, compute
+    from derail_ros.studies import ensemble as ensembles
+    from derail_ros.studies.ensemble import VARIATION, JobResult, compute
     from derail_ros.vocabulary.errors import ParameterError
 
     if model == "toma":  # its name before 0.2
@@ -71,7 +75,7 @@ def run(
         )  # fmt: skip
     params = loaded.to_params()
     members = ensemble or 1
-    if members > 1 and not params.initiation.lateral_forces:
+    if members > 1 and not params.initiation.lateral_forces and not loaded.draws:
         note(f"{loaded.name} has no lateral force to vary: all members are the same run")
     if output is not None:
         output = common.output_directory(output)
@@ -82,15 +86,24 @@ def run(
         raise CommandFailure(f"{loaded.name}: {error}") from None
 
     records: list[Record] = []
+    kept = None
+    if output is not None and members > 1:
+        from derail_ros.studies.members import Members
+
+        kept = Members()
+
+    def keep(result: JobResult) -> None:
+        bars.update(task, advance=1)
+        if kept is not None and result.error is None:
+            kept.add(result.job.member, result.value, result.job.params().cars)
+
     with common.progress(*_columns(members)) as bars:
         task = bars.add_task(loaded.name, total=members if members > 1 else None, state="")
         if members == 1 or output is not None:
             records.append(_first(simulation, loaded, output, bars, task))
             bars.update(task, advance=1)
         done = len(records)
-        records += results.members(
-            params, done, members, seed, jobs, compute, lambda: bars.update(task, advance=1)
-        )
+        records += results.members(loaded, done, members, seed, jobs, compute, keep)
     told = (late_break(params, records[0]), unbraked(params, records[0]))
     report = results.report_of(
         loaded,
@@ -99,12 +112,26 @@ def run(
         records,
         notes={},
         warnings=list(filter(None, told)),
+        limits=_limits(simulation) if "error" not in records[0] else (),
+        inputs=[] if members == 1 else ensembles.inputs(loaded, members, seed),
     )
     if output is not None:
         if "error" not in records[0]:
-            _draw(output, loaded.title, simulation)
+            scene = _draw(output, loaded.title, simulation)
+            if kept is not None:
+                from derail_ros.studies.members import write
+
+                kept.add(0, simulation.outcome(), params.cars)
+                write(output, kept, loaded, scene, records, report["inputs"])
         results.write(output, loaded, settings or [], report, variation=VARIATION, commands=[])
-    return results.finish(report, output, as_json, verbose)
+    about = [report["one_draw"]] if members == 1 and report["one_draw"] else []
+    return results.finish(report, output, as_json, verbose, about)
+
+
+def _limits(simulation: Simulation) -> list[str]:
+    from derail_ros.vocabulary.limits import limits
+
+    return limits(simulation.outcome(), simulation.track)
 
 
 def unbraked(params: TrainParams, record: Record) -> str | None:
@@ -180,10 +207,12 @@ def _first(
     return outcome_record(outcome, time.perf_counter() - began)
 
 
-def _draw(output: Path, title: str, simulation: Simulation) -> None:
-    """The final scene and the peak forces of a finished run."""
+def _draw(output: Path, title: str, simulation: Simulation) -> Scene:
+    """The final scene of a finished run, drawn with its peak forces."""
     from derail_ros.review.figures import save_outcome
     from derail_ros.review.scene import scene_from_simulation
 
     outcome = simulation.outcome()
-    save_outcome(scene_from_simulation(simulation, title, outcome.text), outcome, output)
+    scene = scene_from_simulation(simulation, title, outcome.text)
+    save_outcome(scene, outcome, output)
+    return scene

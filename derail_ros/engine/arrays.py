@@ -36,12 +36,17 @@ class Model(NamedTuple):
     remote: F64  # places that a radio orders to vent, m behind car 1
     lateral: Rows  # (F,) PUSH
     track: Rows  # (pieces,) TRACK
+    side: Rows  # (pieces,) TRACK of all second tracks, one after the other
     link: Rows  # (N-1,) LINK
     along: Rows  # (N,) ALONG
     effort: Rows  # (points,) EFFORT
     setting: Rows  # (points,) SETTING
     grade: Rows  # (pieces,) GRADE
     table: F64  # of the integration method
+    outline: Rows  # (V,) OUTLINE
+    zone: Rows  # (Z,) ZONE
+    fixed: Rows  # (B,) FIXED
+    area: Rows  # (A,) AREA
 
 
 class State(NamedTuple):
@@ -80,6 +85,11 @@ class State(NamedTuple):
     coupling: Rows  # (N-1,) COUPLING
     over_since: F64  # (N, 2) when a truck passed its lateral limit, nan below it
     loose: U8  # (N, 2) derailed trucks that no rail guides any more
+    struck: Rows  # (N B,) PAIR of a car and a fixed body
+    hold: I64  # (N, 4 B + V) which side of which edge a corner is held on, see forces.fixed
+    dent: F64  # (N, 4 B + V) how far a corner has pushed a body in, m
+    group: Rows  # (G,) GROUP of edges of fixed bodies that give way together
+    inside: U8  # (N, A) the car has been there
 
 
 class Work(NamedTuple):
@@ -88,7 +98,8 @@ class Work(NamedTuple):
     wk: Rows  # (N,) WORK
     row: Rows  # (N, 2) ROW
     ang: F64  # (3, 3 N) angles, sines, cosines
-    ground: F64  # (6, 10 N) points on the ground: velocity x, y; place on the axis; load; results
+    ground: F64  # (12, 10 N) points on the ground: velocity x, y; place on the axis; load;
+    # results; in zones also c_s, c_d, eps, c_v and the slope along x and y
     ground_first: I64  # (N+1,) first of a car's points
     force: F64  # (N, 5)
     stage_q: F64
@@ -117,8 +128,13 @@ class Work(NamedTuple):
     within_v: F64
     within_wk: Rows
     within_force: F64  # (N, 5)
-    active: I64  # (1 + P,) number and rows of the pairs that may touch for now
-    placed: F64  # (N, 3) poses when that list was made
+    bound: U8  # (N,) 1: the car can only move along the track, see blocks
+    head: I64  # (N,) first car of the block that a car belongs to
+    tail: I64  # (N,) and its last one
+    live: I64  # (1 + N,) number and list of the cars that may turn or bend
+    active: I64  # (1 + P,) number and rows of the pairs that may touch in this step
+    reach: F64  # (P, 2) gap and relative speed of pairs, m and m/s
+    near: I64  # (1 + N B, 4) number of rows; car, fixed body and its edges that it may touch
 
 
 for kind in (Model, State, Work):
@@ -128,13 +144,13 @@ SLOPES = 8
 """Room for the stages of a method and the slope at its end."""
 
 
-def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
-    """Scratch for ``n`` cars."""
+def make_work(n: int, pair_rows: int, event_rows: int, report: bool, fixed: int = 0) -> Work:
+    """Scratch for ``n`` cars and ``fixed`` bodies."""
     return Work(
         wk=np.zeros(n, layout.WORK),
         row=np.zeros((n, 2), layout.ROW),
         ang=np.zeros((3, 3 * n)),
-        ground=np.zeros((6, BODY_POINTS * n)),
+        ground=np.zeros((12, BODY_POINTS * n)),
         ground_first=np.zeros(n + 1, dtype=np.int64),
         force=np.zeros((n, 5)),
         stage_q=np.zeros((n, 5)),
@@ -163,6 +179,11 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool) -> Work:
         within_v=np.zeros((n, 5)),
         within_wk=np.zeros(n, layout.WORK),
         within_force=np.zeros((n, 5)),
+        bound=np.zeros(n, dtype=np.uint8),
+        head=np.arange(n),
+        tail=np.arange(n),
+        live=np.concatenate([[n], np.arange(n)]),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
-        placed=np.full((n, 3), np.nan),
+        reach=np.zeros((pair_rows, 2)),
+        near=np.zeros((1 + n * fixed, 4), dtype=np.int64),
     )

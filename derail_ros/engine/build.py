@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -14,6 +15,17 @@ from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
 from derail_ros.engine.negotiability import free_swing
+from derail_ros.engine.site import check_site, refuse_overlap, site_state, site_tables
+from derail_ros.engine.standing import (
+    car_lines,
+    check_standing,
+    cuts,
+    position_field,
+    refuse_touching,
+    side_lines,
+    side_rows,
+    side_swing,
+)
 from derail_ros.engine.track import Track
 from derail_ros.vocabulary.errors import ParameterError
 from derail_ros.vocabulary.params import (
@@ -21,6 +33,7 @@ from derail_ros.vocabulary.params import (
     GRAVITY,
     Car,
     CouplerType,
+    TrackParams,
     TractionParams,
     TrainParams,
 )
@@ -119,17 +132,25 @@ def _check_car(c: Car, where: str) -> None:
             finite(unit.force, f"{at}.force", 0.0)
 
 
+_checked: dict[str, tuple[Car, ...]] = {}
+"""The cars that were found right last: those of all members of an ensemble."""
+
+
 def validate(params: TrainParams) -> None:
     """Refuse parameters that no run can be built from, naming the field and the reason."""
     cars = params.cars
     require(1 <= len(cars) <= MAX_CARS, "cars", f"must be 1 to {MAX_CARS} cars, not {len(cars)}")
-    for i, car in enumerate(cars):
-        _check_car(car, f"cars.{i}")
-        require(
-            car.represents == 1 or i == len(cars) - 1,
-            f"cars.{i}.represents",
-            "only the last body may stand for several cars",
-        )
+    if not isinstance(cars, tuple) or cars is not _checked.get("cars"):
+        for i, car in enumerate(cars):
+            _check_car(car, f"cars.{i}")
+            require(
+                car.represents == 1 or i == len(cars) - 1,
+                f"cars.{i}.represents",
+                "only the last body may stand for several cars",
+            )
+        _checked["cars"] = cars
+    check_standing(params)
+    n = params.n_train
     g = params.ground
     for name in ("c_s", "c_d", "c_v", "scale"):
         finite(getattr(g, name), f"ground.{name}", 0.0)
@@ -157,29 +178,29 @@ def validate(params: TrainParams) -> None:
         finite(place, f"brakes.remote.{j}", 0.0)
     for j, trigger in enumerate(b.triggers):
         check_trigger(
-            trigger.mode, trigger.source, trigger.car, trigger.delay, len(cars),
+            trigger.mode, trigger.source, trigger.car, trigger.delay, n,
             f"brakes.triggers.{j}",
         )  # fmt: skip
         finite(trigger.time, f"brakes.triggers.{j}.time", 0.0)
     d = params.derailment
     positive(d.lv_limit, "derailment.lv_limit")
-    for name in ("lv_hold", "guide_strength", "guide_play"):
+    for name in ("lv_hold", "truck_play", "guide_strength", "guide_play"):
         finite(getattr(d, name), f"derailment.{name}", 0.0)
     positive(d.guide_stiffness, "derailment.guide_stiffness")
     finite(d.break_ahead_of_truck, "derailment.break_ahead_of_truck", 0.0)
     for pair in POLYNOMIALS:
         name = f"knuckle_limit_{pair.lower()}"
         positive(getattr(d, name), f"derailment.{name}")
-    n = params.integration
-    require(n.method in METHODS, "integration.method", f"must be one of {', '.join(METHODS)}")
-    finite(n.rtol, "integration.rtol", 1e-12, 1e-1)
+    m = params.integration
+    require(m.method in METHODS, "integration.method", f"must be one of {', '.join(METHODS)}")
+    finite(m.rtol, "integration.rtol", 1e-12, 1e-1)
     require(
-        n.stabilization in STABILIZATIONS,
+        m.stabilization in STABILIZATIONS,
         "integration.stabilization",
         f"must be one of {', '.join(STABILIZATIONS)}",
     )
     for name in ("baumgarte_velocity", "baumgarte_position"):
-        finite(getattr(n, name), f"integration.{name}", 0.0)
+        finite(getattr(m, name), f"integration.{name}", 0.0)
     for name in (
         "buffer_fraction",
         "max_step",
@@ -189,29 +210,30 @@ def validate(params: TrainParams) -> None:
         "rest_hold",
         "time_limit",
     ):
-        positive(getattr(n, name), f"integration.{name}")
+        positive(getattr(m, name), f"integration.{name}")
     # a contact must not rise and fall within one step
-    finite(n.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
-    require(n.min_step < n.max_step, "integration.min_step", "must be below integration.max_step")
+    finite(m.buffer_fraction, "integration.buffer_fraction", 0.0, 0.5)
+    require(m.min_step < m.max_step, "integration.min_step", "must be below integration.max_step")
     finite(params.variant.moment_widening, "variant.moment_widening", 0.0)
     _check_along(params)
+    check_site(params.site)
     start = params.initiation
     finite(start.speed, "initiation.speed", 0.0, 200.0)
     finite(start.position, "initiation.position")
     for j, (number, end) in enumerate(start.derailed_trucks):
         at = f"initiation.derailed_trucks.{j}"
-        require(1 <= number <= len(cars), at, f"there is no car {number}")
+        require(1 <= number <= n, at, f"there is no car {number}")
         require(end in ENDS, at, f"the end must be 'front' or 'rear', not {end!r}")
         require(cars[number - 1].represents == 1, at, "a virtual body never derails")
     for j, number in enumerate(start.parted_couplings):
         require(
-            1 <= number < len(cars),
+            1 <= number < n,
             f"initiation.parted_couplings.{j}",
             f"there is no coupling between cars {number} and {number + 1}",
         )
     for j, force in enumerate(start.lateral_forces):
         at = f"initiation.lateral_forces.{j}"
-        require(1 <= force.car <= len(cars), f"{at}.car", f"there is no car {force.car}")
+        require(1 <= force.car <= n, f"{at}.car", f"there is no car {force.car}")
         require(
             force.place in ("front", "rear", "centre"),
             f"{at}.place",
@@ -235,7 +257,7 @@ def validate(params: TrainParams) -> None:
 
 def _check_along(params: TrainParams) -> None:
     """What acts along the track and along the couplings."""
-    n = len(params.cars)
+    n = params.n_train
     t = params.traction
     for name in ("response_time", "cut_time"):
         positive(getattr(t, name), f"traction.{name}")
@@ -361,9 +383,14 @@ def build_model(params: TrainParams, track: Track) -> Model:
         "gear": p.couplings.gear.on,
         "strength": False,
         "lv_hold": p.derailment.lv_hold,
+        "truck_play": p.derailment.truck_play,
         "guide_strength": p.derailment.guide_strength,
         "guide_stiffness": p.derailment.guide_stiffness,
         "guide_play": p.derailment.guide_play,
+        "ground_most": max([g.c_s, *(zone.c_s for zone in p.site.zones)]),
+        "border": p.site.border,
+        "slopes": any(any(zone.rise) for zone in p.site.zones),
+        "train": p.n_train,
     }
     link = _links(p)
     along, effort, setting = _along(p)
@@ -377,7 +404,9 @@ def build_model(params: TrainParams, track: Track) -> Model:
 
     car = np.zeros(n, layout.CAR)
     striker = np.zeros((n, 2), layout.STRIKER)
-    free = free_swing(p.cars, track)
+    side = side_lines(p)
+    rows = side_rows(p)
+    free = np.concatenate([_free_swing(p.cars[: p.n_train], p.track), *side_swing(p)])
     units: list[tuple[float, ...]] = []
     unit_start = np.zeros(n + 1, dtype=np.int64)
     number = 1
@@ -403,6 +432,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
             distance,
             math.sqrt(k.inertia / k.mass),
             math.sqrt(k.coupler_inertia / k.mass),
+            *rows[i],
         )
         for end, e in enumerate((k.front, k.rear)):
             striker[i, end] = (
@@ -454,12 +484,14 @@ def build_model(params: TrainParams, track: Track) -> Model:
         remote=np.array(p.brakes.remote, dtype=float),
         lateral=lateral,
         track=track.pieces,
+        side=np.concatenate([np.zeros(0, layout.TRACK), *(line.pieces for line in side)]),
         table=np.array(METHODS[p.integration.method]),
         link=link,
         along=along,
         effort=effort,
         setting=setting,
         grade=track.grades,
+        **site_tables(p.site, track),
     )
 
 
@@ -560,20 +592,44 @@ def initial_travel(params: TrainParams, i: int) -> float:
     return 0.5 * gear.start * gear.slack if gear.on and not jointed else 0.0
 
 
-def initial_positions(params: TrainParams, track: Track) -> F64:
+ALIKE = 32
+"""Trains of which the place on the track is kept: the runs of an ensemble and saved states have it
+in common, and on a curve it takes longer to find than a short run."""
+
+
+@functools.lru_cache(ALIKE)
+def _free_swing(cars: tuple[Car, ...], track: TrackParams) -> F64:
+    return free_swing(cars, Track(track))
+
+
+def initial_positions(params: TrainParams) -> F64:
     """Coordinates (N, 5) of a train standing on the line with all couplers stretched straight.
 
     The car behind is moved along the line until the distance of the two pivots is the length of
     the two couplers, which then point along it.
     """
-    cars = params.cars
+    travel = tuple(initial_travel(params, i) for i in range(len(params.cars) - 1))
+    n = params.n_train
+    own = _standing(params.cars[:n], params.track, params.initiation.position, travel[: n - 1])
+    found = [own]
+    for cut, first in cuts(params):
+        cars = params.cars[first : first + cut.cars]
+        line = params.tracks[cut.track].line
+        found.append(_standing(cars, line, cut.position, travel[first : first + cut.cars - 1]))
+    return np.concatenate(found)
+
+
+@functools.lru_cache(ALIKE)
+def _standing(
+    cars: tuple[Car, ...], alignment: TrackParams, s: float, travel: tuple[float, ...]
+) -> F64:
+    track = Track(alignment)
     n = len(cars)
     q = np.zeros((n, 5))
-    s = params.initiation.position
     if len(track.pieces) == 0:
         for i, car in enumerate(cars):
             if i:
-                s -= car.pivot_distance + car.front.length + initial_travel(params, i - 1)
+                s -= car.pivot_distance + car.front.length + travel[i - 1]
             q[i, 0] = s
             s -= car.pivot_distance + car.rear.length
         return q
@@ -583,7 +639,7 @@ def initial_positions(params: TrainParams, track: Track) -> F64:
             q[0, 3] = q[0, 2]
         else:
             ahead = cars[i - 1]
-            reach = ahead.rear.length + car.front.length + initial_travel(params, i - 1)
+            reach = ahead.rear.length + car.front.length + travel[i - 1]
             px = q[i - 1, 0] - ahead.pivot_distance * math.cos(q[i - 1, 2])
             py = q[i - 1, 1] - ahead.pivot_distance * math.sin(q[i - 1, 2])
             base = ahead.pivot_distance + reach + car.pivot_distance
@@ -624,11 +680,11 @@ def initial_velocities(params: TrainParams, track: Track, q: F64) -> F64:
     pivots, carry the motion along that line to the next car and turn with it.
     """
     cars = params.cars
-    n = len(cars)
-    v = np.zeros((n, 5))
+    n = params.n_train
+    v = np.zeros((len(cars), 5))
     speed = params.initiation.speed
     if len(track.pieces) == 0:
-        v[:, 0] = speed
+        v[:n, 0] = speed
         return v
 
     def direction(i: int) -> F64:
@@ -678,7 +734,7 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
     n = len(params.cars)
     start = params.initiation
     try:
-        q = initial_positions(params, track)
+        q = initial_positions(params)
         v = initial_velocities(params, track, q)
     except (ZeroDivisionError, FloatingPointError) as error:
         raise ParameterError(
@@ -690,19 +746,23 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
     coupled = np.ones(max(n - 1, 0), dtype=np.uint8)
     for number in start.parted_couplings:
         coupled[number - 1] = 0
+    lines = car_lines(params, track)
+    for _, first in cuts(params):
+        coupled[first - 1] = 0
     truck_s = np.zeros((n, 2))
     hint: float | None = None
     for i, car in enumerate(params.cars):
+        line = lines[i]
+        hint = hint if i and line is lines[i - 1] else None
         for k, r in enumerate((car.truck_distance, -car.truck_distance)):
             x = q[i, 0] + r * math.cos(q[i, 2])
             y = q[i, 1] + r * math.sin(q[i, 2])
-            truck_s[i, k], offset = track.locate(x, y, hint)
+            truck_s[i, k], offset = line.locate(x, y, hint)
             hint = truck_s[i, k]
-            if not track.start <= hint <= track.end or abs(offset) > 1e-6:
+            if not line.start <= hint <= line.end or abs(offset) > 1e-6:
                 raise ParameterError(
-                    "initiation.position",
-                    f"car {i + 1} stands beyond the alignment "
-                    f"({track.start:g} to {track.end:g} m)",
+                    position_field(params, i),
+                    f"car {i + 1} stands beyond the alignment ({line.start:g} to {line.end:g} m)",
                 )
     for row in model.lateral:
         i, offset, force = int(row["car"]), row["offset"], row["fy"]
@@ -712,6 +772,8 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
         row["fx"] = -math.sin(heading) * force
         row["fy"] = math.cos(heading) * force
 
+    refuse_overlap(params.site, model, q)
+    refuse_touching(params, q)
     m = len(model.unit)
     breaks = np.full(2 * n + 16 + len(params.track.rail_breaks), math.inf)
     for j, s in enumerate(params.track.rail_breaks):
@@ -736,6 +798,7 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
     for number, _ in start.derailed_trucks:
         peak[number - 1]["derail_time"] = 0.0
         peak[number - 1]["derail_speed"] = start.speed
+    peak["resting"][params.n_train :] = 1.0
     zeros = np.zeros((n, 5))
     pair_rows = 16 * n + 64
     return State(
@@ -772,4 +835,5 @@ def initial_state(params: TrainParams, model: Model, track: Track) -> State:
         coupling=coupling,
         over_since=np.full((n, 2), math.nan),
         loose=np.zeros((n, 2), dtype=np.uint8),
+        **site_state(params.site, model, n),
     )

@@ -118,8 +118,7 @@ def _force_within(model: Model, state: State, work: Work, p: int, x: float, h: f
                 x, h, state.q0[i, k], state.v0[i, k], state.a0[i, k], state.q[i, k],
                 state.v[i, k], state.a1[i, k],
             )  # fmt: skip
-        wk[i].ct = math.cos(q[i, 2])
-        wk[i].st = math.sin(q[i, 2])
+        wk[i].st, wk[i].ct = sincos(q[i, 2])
     i = state.pairs[p, 0]
     j = state.pairs[p, 1]
     seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)

@@ -6,6 +6,7 @@ import math
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.blocks import close_up, inside
 from derail_ros.engine.forces.along import along_forces
 from derail_ros.engine.forces.brakes import brake_forces
 from derail_ros.engine.forces.collisions import collision_forces
@@ -21,10 +22,11 @@ from derail_ros.engine.forces.draft_gear import (
     gear_forces,
     set_reach,
 )
+from derail_ros.engine.forces.fixed import fixed_forces
 from derail_ros.engine.forces.ground import ground_forces
 from derail_ros.engine.forces.guidance import guidance_forces
 from derail_ros.engine.forces.pushes import push_forces
-from derail_ros.engine.forces.track import truck_gamma, truck_rate, truck_rows
+from derail_ros.engine.forces.track import truck_gamma, truck_rate, truck_rows, unmoved
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.solver import factor, solve
 from derail_ros.engine.trigonometry import angles
@@ -40,7 +42,7 @@ PLAIN, FACTORED, IMPLICIT = 0, 1, 2
 @inner_jit
 def place(model: Model, state: State, work: Work, q: F64) -> None:
     """Cosines, sines and lengths of couplers at ``q`` into ``work.wk``."""
-    angles(q, work.wk, work.ang)
+    angles(q, work.wk, work.ang, work.live)
     if model.par[0].gear != 0.0:
         set_reach(model, state, work, q)
 
@@ -77,9 +79,11 @@ def accelerations(
             work.report[i, k] = 0.0
     coupler_forces(model, state, work, q, v)
     brake_forces(model, state, work, t, v)
-    ground_forces(model, state, work, v)
+    ground_forces(model, state, work, q, v)
     push_forces(model, state, work, v)
     collision_forces(model, state, work, q, v)
+    if model.fixed.shape[0] > 0:
+        fixed_forces(model, state, work, q, v)
     if model.par[0].along != 0.0:
         along_forces(model, state, work, t, q, v)
     if model.par[0].guide_strength != 0.0:
@@ -116,7 +120,7 @@ def constraint_error(model: Model, state: State, work: Work, q: F64) -> tuple[fl
         for k in range(2):
             if state.truck_on[i, k]:
                 offset = max(offset, abs(work.row[i, k].offset))
-        if i < q.shape[0] - 1 and state.coupled[i]:
+        if i < q.shape[0] - 1 and state.coupled[i] and not inside(work, i):
             gx, gy = coupling_gap(model.car, q, work.wk, i)
             gap = max(gap, math.sqrt(gx * gx + gy * gy))
     return gap, offset
@@ -146,6 +150,7 @@ def onto_constraints(model: Model, state: State, work: Work, q: F64, reuse: bool
     n = q.shape[0]
     wk = work.wk
     factored = reuse
+    close_up(model, work, q)
     for _ in range(12):
         place(model, state, work, q)
         truck_rows(model, state, work, q)
@@ -159,13 +164,15 @@ def onto_constraints(model: Model, state: State, work: Work, q: F64, reuse: bool
             return True
         factored = False
         for i in range(n):
+            # what stands untouched stays to the bit, whatever else is moved
+            still = unmoved(model, state, q, i)
             for k in range(2):
                 if state.truck_on[i, k]:
-                    work.gamma_t[i, k] = -work.row[i, k].offset
-            if i < n - 1 and state.coupled[i]:
+                    work.gamma_t[i, k] = 0.0 if still else -work.row[i, k].offset
+            if i < n - 1 and state.coupled[i] and not inside(work, i):
                 gx, gy = coupling_gap(model.car, q, wk, i)
-                work.gamma_c[i, 0] = -gx
-                work.gamma_c[i, 1] = -gy
+                work.gamma_c[i, 0] = 0.0 if still else -gx
+                work.gamma_c[i, 1] = 0.0 if still else -gy
         _move(model, state, work, q)
     return False
 
@@ -189,7 +196,7 @@ def project_velocities(model: Model, state: State, work: Work, v: F64) -> None:
         for k in range(2):
             if state.truck_on[i, k]:
                 work.gamma_t[i, k] = -truck_rate(v, work.row, i, k)
-        if i < n - 1 and state.coupled[i]:
+        if i < n - 1 and state.coupled[i] and not inside(work, i):
             gx, gy = coupling_rate(model.car, v, work.wk, i)
             work.gamma_c[i, 0] = -gx
             work.gamma_c[i, 1] = -gy

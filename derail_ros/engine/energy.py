@@ -50,6 +50,7 @@ def energy_residual(model: Model, state: State) -> float:
         residual += state.energy[layout.E_TRACTION] - state.energy[layout.E_GEAR]
         residual -= state.energy[layout.E_DYNAMIC] + state.energy[layout.E_RESISTANCE]
     residual -= state.energy[layout.E_GUIDANCE]
+    residual -= state.energy[layout.E_SLOPE] + state.energy[layout.E_FIXED]
     e = state.energy
     return (
         state.clock[0].initial_energy

@@ -7,11 +7,18 @@ import math
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.contacts import end_contact
+from derail_ros.engine.contacts_fixed import end_fixed
 from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.forces.draft_gear import gear_energy, tension
 from derail_ros.engine.forces.guidance import break_out
-from derail_ros.engine.forces.track import break_passed, breaks_in_use, truck_arm
+from derail_ros.engine.forces.track import (
+    break_passed,
+    breaks_in_use,
+    lateral_load,
+    standing,
+    truck_arm,
+)
 from derail_ros.engine.interpolation import LOCATED
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.vocabulary.events import EventKind
@@ -112,7 +119,7 @@ def _part_coupling(
     y = state.q[i, 1] - arm * math.sin(state.q[i, 2]) - reach * math.sin(state.q[i, 4])
     speed = speed_of(state.v, i)
     add_event(state, work, COUPLER_PARTED, t, i + 1, i + 2, 0, cause, x, y, math.nan, speed, value)
-    if model.par[0].vent != 0.0:
+    if model.par[0].vent != 0.0 and not standing(model, i):
         at = 0.5 * (model.car[i].distance + model.car[i + 1].distance)
         apply_brakes(model, state, at, layout.ARR_CONV, t)
         add_event(
@@ -135,7 +142,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             if state.truck_on[i, k] == 0:
                 continue
             s1 = state.truck_s[i, k]
-            passed = break_passed(state, work, i, k)
+            passed = break_passed(model, state, work, i, k)
             if not math.isnan(passed):
                 if virtual:
                     state.cnt[0].status = layout.VOID
@@ -152,7 +159,8 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
                 continue
             if virtual:
                 continue
-            quotient = abs(state.rail_force[i, k]) / (weight * model.car[i].mass)
+            load = lateral_load(model, state, state.q, state.rail_force, state.coupler_force, i, k)
+            quotient = load / (weight * model.car[i].mass)
             if not quotient > model.par[0].lv_limit:
                 state.over_since[i, k] = math.nan
                 continue
@@ -161,7 +169,7 @@ def remove_constraints(model: Model, state: State, work: Work) -> bool:
             if state.clock[0].t - state.over_since[i, k] >= model.par[0].lv_hold:
                 _derail_truck(model, state, work, i, k, layout.CAUSE_LATERAL, quotient)
                 changed = True
-                if model.par[0].break_follows != 0.0:
+                if model.par[0].break_follows != 0.0 and not standing(model, i):
                     breaks = breaks_in_use(state)
                     if breaks < state.breaks.shape[0]:
                         state.breaks[breaks] = s1
@@ -284,6 +292,7 @@ def note_progress(model: Model, state: State, work: Work) -> None:
         for p in range(state.cnt[0].pairs):
             if state.pair[p].contact >= 0.0:
                 end_contact(state, p, t)
+        end_fixed(state, t)
         add_event(
             state, work, RUN_ENDED, t, 0, 0, 0, state.cnt[0].status, math.nan, math.nan, math.nan,
             math.nan, state.clock[0].duration,

@@ -23,16 +23,23 @@ from __future__ import annotations
 
 import math
 
-from derail_ros.engine.arrays import Model, Rows, State, Work
+from derail_ros.engine.arrays import F64, Model, Rows, State, Work
 from derail_ros.engine.forces.along import along_damping
 from derail_ros.engine.forces.brakes import LARGEST_BRAKING, brake_damping
 from derail_ros.engine.forces.ground import ground_damping, largest_drag
+from derail_ros.engine.forces.track import standing
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.solver import plain_mass
 from derail_ros.engine.trigonometry import angles
 
 STIFF = 0.5
 """Friction is taken implicitly where a step times its fastest rate exceeds this."""
+
+
+@inner_jit
+def moves(v: F64, i: int) -> bool:
+    """Some velocity of car ``i`` is not exactly zero."""
+    return v[i, 0] != 0.0 or v[i, 1] != 0.0 or v[i, 2] != 0.0
 
 
 @inner_jit
@@ -54,6 +61,8 @@ def friction_damping(model: Model, state: State, work: Work, h: float) -> bool:
         slowest = max(0.0, speed - abs(v[i, 2]) * car[i].half_l)
         bound = LARGEST_BRAKING + largest_drag(model, state, i)
         wk[i].stiff = 0.0
+        if standing(model, i) and not moves(v, i):
+            continue  # no friction yet: what stands untouched changes no step of the train's
         if h * bound > STIFF * math.sqrt(slowest * slowest + eps * eps):
             wk[i].stiff = 1.0
             some = True
@@ -66,7 +75,7 @@ def friction_damping(model: Model, state: State, work: Work, h: float) -> bool:
     if not some:
         return False
     brake_damping(model, state, work, state.clock[0].t, v)
-    ground_damping(model, state, work, v)
+    ground_damping(model, state, work, state.q, v)
     if model.par[0].along != 0.0:
         along_damping(model, state, work, state.clock[0].t, v)
     some = False
@@ -97,7 +106,7 @@ def longest_stable(model: Model, state: State, work: Work, h: float, bound: floa
     keep_separate()
     wk = work.wk
     car = model.car
-    angles(state.q, wk, work.ang)
+    angles(state.q, wk, work.ang, work.live)
     if not friction_damping(model, state, work, h):
         return h
     fastest = 0.0

@@ -9,10 +9,12 @@ features of the processor, so that any edit starts a new cache.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from stat import S_ISDIR
 from typing import IO, Any
@@ -20,7 +22,7 @@ from typing import IO, Any
 import llvmlite
 import llvmlite.binding
 import numba
-from numba import config as numba_config
+from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 
 from derail_ros.engine.compiling import KernelCompiler, forget_constants
@@ -99,6 +101,36 @@ def lock(file: IO[bytes], shared: bool, wait: bool) -> bool:
     return True
 
 
+class _Locator:
+    """Where numba keeps a kernel: by the name of its module, and fresh while its file is the same.
+
+    numba's own locators go by the path of the file and its time. The same engine in another
+    environment, or checked out once more, would compile everything anew beside a complete cache.
+    """
+
+    def __init__(self, function: Callable[..., Any], path: str) -> None:
+        self._folder = str(CACHE_DIR / function.__module__)
+        self._line = function.__code__.co_firstlineno
+        self._stamp = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], path: str) -> _Locator | None:
+        """The place of a kernel; None for one that has no file."""
+        return cls(function, path) if os.path.isfile(path) else None
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self._folder, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
 def _save_in_turn(kernel: Any) -> Any:
     """Let one process at a time write the cache.
 
@@ -139,12 +171,12 @@ keep_separate: Any = intrinsic(_keep_separate)
 
 
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
-    # numba reads the folder when the decorator runs, so the setting is changed only for that
-    # long: a user's own numba functions keep their own cache.
-    config: Any = numba_config
-    previous = config.CACHE_DIR
-    config.CACHE_DIR = str(CACHE_DIR)
-    options.update(cache=CAN_KEEP, nogil=True, fastmath=False, error_model="numpy")
+    # numba looks for a place when the decorator runs, so ours is known only for that long: a
+    # user's own numba functions keep their own cache.
+    impl: Any = FunctionCache._impl_class
+    previous = impl._locator_classes
+    impl._locator_classes = [_Locator]
+    options = {"cache": CAN_KEEP, "nogil": True, "error_model": "numpy", **options}
     # Kernels own no array: without numba's runtime they do not count references to the dozens
     # that they hand on, which took 10 to 15 % of a run.
     options["_nrt"] = False
@@ -152,14 +184,36 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     try:
         return forget_constants(_save_in_turn(numba.njit(**options)(function)))
     finally:
-        config.CACHE_DIR = previous
+        impl._locator_classes = previous
 
 
 def jit(function: Callable[..., Any]) -> Any:
-    """Compile a kernel: no Python objects, no fast math, GIL released, cached on disk."""
-    return _compile(function, no_cfunc_wrapper=True)
+    """Compile a kernel: no Python objects, no fast math, GIL released.
+
+    What Python calls is an entry of its own, compiled when Python first calls it and cached on
+    disk; kernels that call this one have no need of it.
+    """
+    kernel = inner_jit(function)
+    if kernel is function:  # numba is switched off
+        return kernel
+    entry = _compile(_entry(kernel, function), no_cfunc_wrapper=True)
+    for name in ("get_call_template", "get_overload", "get_compile_result"):
+        setattr(entry, name, getattr(kernel, name))
+    return entry
+
+
+def _entry(kernel: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that calls the kernel of ``function``; to the cache it is that function."""
+    names = ", ".join(inspect.signature(function).parameters)
+    space: dict[str, Any] = {"kernel": kernel}
+    exec(f"def entry({names}):\n    return kernel({names})\n", space)
+    code = function.__code__
+    space["entry"].__code__ = space["entry"].__code__.replace(
+        co_filename=code.co_filename, co_firstlineno=code.co_firstlineno
+    )
+    return wraps(function)(space["entry"])
 
 
 def inner_jit(function: Callable[..., Any]) -> Any:
-    """The same for a kernel that only kernels call: without the costly Python entry."""
-    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """The same for a kernel that only kernels call: no Python entry, kept with its callers."""
+    return _compile(function, cache=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -49,7 +49,11 @@ PAR = _table("""
     gear  # 1: draft gear along the couplings, see forces.draft_gear
     strength  # 1: couplings break in tension
     lv_hold  # s that a truck must be above lv_limit
+    truck_play  # of trucks between the rails, m
     guide_strength guide_stiffness guide_play  # of rails beside derailed trucks, N, N/m, m
+    ground_most  # largest static coefficient of any ground
+    border slopes  # width of the borders between zones, m; 1: a zone has a slope
+    train  # number of the train's own bodies; those behind them stand on second tracks
 """)
 CAR = _table("""
     mass inertia coupler_inertia
@@ -59,6 +63,7 @@ CAR = _table("""
     virtual
     distance  # arc length of the centre behind car 1's, m
     gyration gyration_c  # sqrt(I / m), sqrt(I_c / m)
+    line line_end  # rows of ``Model.side`` that are its second track; none: on the main one
 """)
 STRIKER = _table("arm free opening k1 k2 damping")  # (N, 2): front, rear
 KNUCKLE = _table("""
@@ -101,6 +106,17 @@ TRACK = _table("""
     kappa dkappa  # curvature and its change per metre
 """)
 
+OUTLINE = _table("""
+    x y
+    ux uy length  # direction and length of the edge to the next vertex; 0 m: the end of a chain
+    corner bx by  # 1: it touches the sides of cars; on the side of (bx, by) if that is not 0
+    group  # row of GROUP
+""")
+ZONE = _table("first last closed x0 x1 y0 y1 c_s c_d eps c_v rise_x rise_y")
+FIXED = _table("first last closed x0 x1 y0 y1 force")
+AREA = _table("first last closed x0 x1 y0 y1")
+"""Rows ``first`` to before ``last`` of OUTLINE, and the box around them."""
+
 # State ---------------------------------------------------------------------------------------
 
 CLOCK = _table("""
@@ -141,6 +157,11 @@ COUPLING = _table("""
     draft draft_time buff buff_time  # largest so far, N >= 0
     travel share  # of the draft gear at the last accepted state: m; friction's, -1 to 1
     travel0 share0  # at the one before
+""")
+GROUP = _table("""
+    energy power last  # J; taken out; at the last accepted state
+    limit  # J
+    gone  # 1: it has given way
 """)
 PEAK = _table("force time other derail_time derail_speed resting")
 
@@ -202,14 +223,12 @@ ARR_CONV, ARR_INST, ARR_TL, ARR_INST_TL = range(4)
 """Arrival times of a brake unit, by kind of application."""
 
 (E_BRAKE, E_GROUND_TRUCK, E_GROUND_BODY, E_COLLISION, E_DAMPER, E_EXTERNAL, E_TRACTION, E_DYNAMIC,
- E_RESISTANCE, E_GEAR, E_GUIDANCE) = range(11)  # fmt: skip
-N_POWER = 11
-E_KNUCKLE, E_STAB_NET, E_STAB_GROSS = range(11, 14)
-N_ENERGY = 14
-"""Work entries of the ledger. The first eleven are integrated with the state; E_EXTERNAL and
+ E_RESISTANCE, E_GEAR, E_GUIDANCE, E_SLOPE, E_FIXED) = range(13)  # fmt: skip
+N_POWER = 13
+E_KNUCKLE, E_STAB_NET, E_STAB_GROSS = range(13, 16)
+N_ENERGY = 16
+"""Work entries of the ledger. The first thirteen are integrated with the state; E_EXTERNAL and
 E_TRACTION are put in, E_KNUCKLE is released at parting."""
-FIRST_POWERS = 6
-"""Powers in states that were saved before there were forces along the track."""
 
 R_BRAKE = 0
 R_TRUCK = 1  # ground force: front x y, rear x y

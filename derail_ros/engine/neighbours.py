@@ -1,83 +1,158 @@
-"""Which cars may touch: the neighbour list, and the pairs of it that matter for now.
+"""Which cars may touch: the neighbour list, and the pairs of it that matter in the next step.
 
 The neighbour list holds every pair whose circles come within the buffer plus a margin; it stays
 valid until a car has moved half the margin. Virtual bodies never collide.
+
+A step may be as long as nothing is missed. What counts is how fast a corner moves as the other
+body sees it: a train that moves as one limits no step, and two bodies far apart limit it by the
+time they need to come near each other.
 """
 
 from __future__ import annotations
 
 import math
 
-from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.contacts import end_contact, remember_walls
-from derail_ros.engine.forces.collisions import clear, pair_frames, within
+from derail_ros.engine.forces.collisions import Frame, clear, corner_of, pair_frames, widest_gap
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.trigonometry import angles
 
-MARGIN = 3.0
+MARGIN = 4.0
 """Room between the circles that a fresh list allows for, m."""
+
+ZONE = 0.5
+"""Share of the buffer within which no corner may pass a step's share in one step."""
 
 
 @inner_jit
-def list_is_stale(model: Model, state: State) -> bool:
-    """A car has moved far enough since the list was made that a pair could be missing."""
-    limit = 0.5 * MARGIN - model.par[0].step_share
-    limit *= limit
+def longest_listed(model: Model, state: State, h: float) -> float:
+    """The step ``h``, or less: as far as the neighbour list as it is allows for, s.
+
+    Cars move straight on; ``strays`` checks afterwards that they did, but for a step's share.
+    """
+    limit = 0.5 * MARGIN
+    longest = h
     for i in range(state.q.shape[0]):
         dx = state.q[i, 0] - state.built[i, 0]
         dy = state.q[i, 1] - state.built[i, 1]
-        if not dx * dx + dy * dy <= limit:
+        vx = state.v[i, 0]
+        vy = state.v[i, 1]
+        moved = math.sqrt(dx * dx + dy * dy)
+        speed = math.sqrt(vx * vx + vy * vy)
+        if not moved + speed * longest <= limit:
+            longest = max(limit - moved, 0.0) / speed if moved < limit else 0.0
+    return longest
+
+
+@inner_jit
+def strays(model: Model, state: State, work: Work, h: float) -> bool:
+    """A car has moved a step's share away from where its velocity led it in the trial step."""
+    share = model.par[0].step_share
+    if model.par[0].collide == 0.0:
+        return False
+    for i in range(state.q.shape[0]):
+        dx = work.stage_v[i, 0] - state.v[i, 0]
+        dy = work.stage_v[i, 1] - state.v[i, 1]
+        turn = model.car[i].radius * abs(work.stage_v[i, 2] - state.v[i, 2])
+        if not h * (math.sqrt(dx * dx + dy * dy) + turn) <= share:
             return True
     return False
 
 
-ACTIVE = 3.0
-"""How far corners may move before the list of active pairs is made again, in steps' shares."""
+@inner_jit
+def _corner_limit(
+    model: Model, v: F64, i: int, j: int, seen: Frame, vx: float, vy: float, h: float
+) -> float:
+    """The step ``h``, or less, for the corners of car ``i`` as car ``j`` sees them, s.
+
+    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s).
+    """
+    keep_separate()
+    car = model.car
+    x0, y0, c, s = seen
+    spin = v[i, 2] - v[j, 2]
+    share = model.par[0].step_share
+    zone = ZONE * model.par[0].buffer
+    for corner in range(4):
+        u, w = corner_of(car, i, corner)
+        rx = c * u - s * w
+        ry = s * u + c * w
+        gap = max(abs(x0 + rx) - car[j].half_l, abs(y0 + ry) - car[j].half_w)
+        ux = vx - spin * ry
+        uy = vy + spin * rx
+        way = share + max(0.0, gap - zone)
+        speed = math.sqrt(ux * ux + uy * uy)
+        if h * speed > way:
+            h = way / speed
+    return h
 
 
 @inner_jit
-def refresh_active(model: Model, state: State, work: Work) -> None:
-    """List the pairs that can come within the buffer before some corner has moved a while.
+def limit_way(model: Model, state: State, work: Work, h: float) -> float:
+    """The step ``h``, or less: no corner passes its share near another body; lists active pairs.
 
-    Two rectangles are at least as far apart as the widest gap between them along their axes. The
-    pairs left out are those whose collision force is exactly zero.
+    A corner nearer to the other body than ``ZONE`` of the buffer may move a step's share relative
+    to it, one that is further away by so much more. The pairs left out of ``work.active`` are
+    those whose collision force is exactly zero throughout the step: two rectangles are at least as
+    far apart as the widest gap between them along their axes.
     """
     keep_separate()
     q = state.q
-    placed = work.placed
-    share = model.par[0].step_share
-    n = q.shape[0]
-    fresh = True
-    for i in range(n):
-        dx = q[i, 0] - placed[i, 0]
-        dy = q[i, 1] - placed[i, 1]
-        moved = math.sqrt(dx * dx + dy * dy) + model.car[i].radius * abs(q[i, 2] - placed[i, 2])
-        # half a list's life for the step that comes
-        if not moved <= 0.5 * ACTIVE * share:
-            fresh = False
-            break
-    if fresh:
-        return
-    for i in range(n):
-        for k in range(3):
-            placed[i, k] = q[i, k]
+    v = state.v
+    car = model.car
     wk = work.wk
     pair = state.pair
-    angles(q, wk, work.ang)
-    # at the corners of its buffer a body reaches sqrt(2) times as far
-    room = 1.5 * model.par[0].buffer + 2.0 * ACTIVE * share
-    count = 0
+    share = model.par[0].step_share
+    zone = ZONE * model.par[0].buffer
+    room = model.par[0].buffer + 2.0 * share  # both may stray
+    largest = max(room, zone)
+    reach = work.reach
+    angles(q, wk, work.ang, work.live)
     for p in range(state.cnt[0].pairs):
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
-        seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
-        if within(model.car, i, j, seen, room):
+        # velocity of the one's centre for the other, which turns
+        dx = q[i, 0] - q[j, 0]
+        dy = q[i, 1] - q[j, 1]
+        wx = v[i, 0] - v[j, 0]
+        wy = v[i, 1] - v[j, 1]
+        ax = wx + v[j, 2] * dy
+        ay = wy - v[j, 2] * dx
+        bx = -wx - v[i, 2] * dy
+        by = -wy + v[i, 2] * dx
+        spin = abs(v[i, 2] - v[j, 2])
+        speed = max(
+            math.sqrt(ax * ax + ay * ay) + spin * car[i].radius,
+            math.sqrt(bx * bx + by * by) + spin * car[j].radius,
+        )
+        # the circles around them say enough of most pairs
+        gap = math.sqrt(dx * dx + dy * dy) - car[i].radius - car[j].radius
+        if gap > largest + h * speed:
+            reach[p, 0] = gap
+            reach[p, 1] = speed
+            continue
+        first, second = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
+        gap = widest_gap(car, i, j, (first, second))
+        if h * speed > share + max(0.0, gap - zone):
+            ci = wk[i].ct
+            si = wk[i].st
+            cj = wk[j].ct
+            sj = wk[j].st
+            h = _corner_limit(model, v, i, j, first, cj * ax + sj * ay, cj * ay - sj * ax, h)
+            h = _corner_limit(model, v, j, i, second, ci * bx + si * by, ci * by - si * bx, h)
+        reach[p, 0] = gap
+        reach[p, 1] = speed
+    count = 0
+    for p in range(state.cnt[0].pairs):
+        if reach[p, 0] <= room + h * reach[p, 1]:
             count += 1
             work.active[count] = p
         else:
             clear(pair, p)
             pair[p].near = 0.0
     work.active[0] = count
+    return h
 
 
 @jit
@@ -105,7 +180,7 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     for a in range(n):
         place[order[a]] = a
         largest = max(largest, model.car[a].radius)
-    room = model.par[0].buffer + MARGIN
+    room = model.par[0].buffer + MARGIN + 2.0 * model.par[0].step_share
     count = 0
     old_count = state.cnt[0].pairs
     old = 0
@@ -175,7 +250,6 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
     for i in range(n):
         state.built[i, 0] = q[i, 0]
         state.built[i, 1] = q[i, 1]
-        work.placed[i, 0] = math.nan
     work.active[0] = count
     state.cnt[0].pairs = count
     state.cnt[0].rebuilds += 1

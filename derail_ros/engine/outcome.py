@@ -6,9 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from derail_ros.engine.build import initial_positions
 from derail_ros.engine.sampling import ledger, raised
-from derail_ros.vocabulary.outcome import Outcome, parted_couplings
+from derail_ros.engine.site import site_outcome
+from derail_ros.vocabulary.outcome import MOVED, Outcome, StandingOutcome, parted_couplings
 from derail_ros.vocabulary.sample import planar
 from derail_ros.vocabulary.scene import car_corners, scene_box
 from derail_ros.vocabulary.status import AT_REST
@@ -22,13 +25,17 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
     """The outcome of a run as it stands."""
     state, model = run._state, run._model
     clock, cnt, peak = state.clock[0], state.cnt[0], state.peak
-    off = (state.truck_on == 0).any(axis=1)
+    own = run.params.n_train
+    astray = (state.truck_on == 0).any(axis=1)
+    off = astray & (np.arange(len(astray)) < own)
     derailed = tuple(int(i) + 1 for i in np.flatnonzero(off))
-    pose = raised(run.track, planar(state.q), state.truck_s)
+    pose = raised(run.track, planar(state.q), state.truck_s, own)
     corners = car_corners(pose, 2.0 * model.car["half_l"], 2.0 * model.car["half_w"])
     length, width, area = scene_box(run.track, corners[off], state.truck_s[off, 0])
 
     contacts = state.contact[: int(cnt["contacts"])]
+    # fixed bodies are told apart, and standing cars that strike each other
+    contacts = contacts[(contacts["b"] > 0.0) & (np.minimum(contacts["a"], contacts["b"]) <= own)]
     pair = None
     force, when, resultant = 0.0, math.nan, 0.0
     if len(contacts):
@@ -37,7 +44,7 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
         pair = (int(top["a"]), int(top["b"]))
         resultant = float(contacts["resultant"].max())
 
-    behind = range(derailed[-1], run.n_cars) if derailed else range(0)
+    behind = range(derailed[-1], own) if derailed else range(0)
     rear = next((i for i in behind if state.truck_on[i, 0]), None)
     return Outcome(
         status=run.status,
@@ -70,6 +77,22 @@ def make_outcome(run: PlanarSimulation) -> Outcome:
             for which in ("draft", "buff")
             for unit, column in (("N", which), ("time_s", f"{which}_time"))
         },
-        parted=parted_couplings(run.events),
-        train=train_totals(run.params.cars),
+        parted=parted_couplings(run.events, own),
+        train=train_totals(run.params.cars[:own]),
+        site=site_outcome(run),
+        standing=_standing(run, astray),
+    )
+
+
+def _standing(run: PlanarSimulation, astray: NDArray[np.bool_]) -> StandingOutcome:
+    """What came of the cars on second tracks."""
+    state, own = run._state, run.params.n_train
+    if own == run.n_cars:
+        return StandingOutcome()
+    contacts = state.contact[: int(state.cnt["contacts"][0])]
+    return StandingOutcome.of(
+        own,
+        struck=np.isin(np.arange(1, run.n_cars + 1), [contacts["a"], contacts["b"]]),
+        moved=np.hypot(*(state.q - initial_positions(run.params))[:, :2].T) > MOVED,
+        derailed=astray,
     )

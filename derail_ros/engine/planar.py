@@ -14,6 +14,7 @@ class PlanarEngine:
     """Toma's planar multibody model."""
 
     name = "planar"
+    words = "E. E. Toma 1998, the main model"
     features = frozenset({"rail_breaks", "brakes", "collisions", "energy"})
 
     def build(self, params: TrainParams) -> PlanarSimulation:

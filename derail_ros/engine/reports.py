@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from derail_ros.engine import layout
 from derail_ros.vocabulary import status as names
 from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.scene import Line
+from derail_ros.vocabulary.site import FixedBody
 
 STATUS = {
     layout.RUNNING: names.RUNNING,
@@ -68,13 +69,16 @@ def event_of(r: Mapping[str, float], track: Line) -> Event:
     )
 
 
-def collision_of(number: int, r: Mapping[str, float]) -> Collision:
-    """The collision of a row."""
+def collision_of(
+    number: int, r: Mapping[str, float], fixed: Sequence[FixedBody] = ()
+) -> Collision:
+    """The collision of a row; the struck ``b`` -1 is the first of the fixed bodies."""
+    b = int(r["b"])
     return Collision(
         id=number,
         final=r["stage"] == 2.0,
         car_a=int(r["a"]),
-        car_b=int(r["b"]),
+        car_b=max(b, 0),
         corner_car=int(r["corner_car"]),
         corner=int(r["corner"]),
         start=r["start"],
@@ -90,6 +94,7 @@ def collision_of(number: int, r: Mapping[str, float]) -> Collision:
         normal_y=r["ny"],
         angle=r["angle"],
         energy_lost=r["energy"],
+        object="" if b >= 0 else fixed[-b - 1].name,
     )
 
 

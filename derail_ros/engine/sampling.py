@@ -9,6 +9,7 @@ import numpy as np
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, U8, Model, State, Work, make_work
+from derail_ros.engine.blocks import prepare
 from derail_ros.engine.dynamics import PLAIN, accelerations
 from derail_ros.engine.energy import kinetic_energy
 from derail_ros.engine.forces.along import potential_energy
@@ -16,6 +17,7 @@ from derail_ros.engine.forces.couplers import coupler_energy
 from derail_ros.engine.forces.draft_gear import gear_energy
 from derail_ros.engine.interpolation import interpolate, interpolate_energy
 from derail_ros.engine.solver import plain_masses
+from derail_ros.engine.standing import car_lines
 from derail_ros.vocabulary.errors import ConstraintError
 from derail_ros.vocabulary.ledger import residual
 from derail_ros.vocabulary.sample import Sample, planar
@@ -62,6 +64,10 @@ def ledger(model: Model, state: State, work: F64, coupled: U8, q: F64, v: F64) -
         entries["draft_gear_friction"] = float(work[layout.E_GEAR])
     if par["guide_strength"]:
         entries["guidance"] = float(work[layout.E_GUIDANCE])
+    if par["slopes"]:
+        entries["slopes"] = float(work[layout.E_SLOPE])
+    if len(model.fixed):
+        entries["fixed_bodies"] = float(work[layout.E_FIXED])
     if par["along"]:
         entries |= {key: float(work[column]) for key, column in ALONG_ENTRIES.items()}
     if par["profile"]:
@@ -70,21 +76,16 @@ def ledger(model: Model, state: State, work: F64, coupled: U8, q: F64, v: F64) -
     return entries
 
 
-def all_active(state: State, work: Work) -> None:
-    """Let the next evaluation look at every pair of the neighbour list."""
-    count = int(state.cnt["pairs"][0])
-    work.active[0] = count
-    work.active[1 : 1 + count] = np.arange(count)
+def raised(track: Any, pose: F64, truck_s: F64, own: int, velocity: F64 | None = None) -> F64:
+    """The pose of cars on the grades of the track: height (m) and pitch (rad).
 
-
-def raised(track: Any, pose: F64, truck_s: F64, velocity: F64 | None = None) -> F64:
-    """The pose of cars on the grades of their track: height (m) and pitch (rad).
-
-    Adds the vertical velocity (m/s) to ``velocity``.
+    Those behind the ``own`` of the train are shown at its height too. Adds the vertical velocity
+    (m/s) to ``velocity``.
     """
     if len(track.grades):
         for i, (x, y) in enumerate(pose[:, :2]):
-            s, _ = track.locate(float(x), float(y), float(truck_s[i].mean()))
+            hint = float(truck_s[i].mean()) if i < own else None
+            s, _ = track.locate(float(x), float(y), hint)
             pose[i, 2], grade = track.height(s)
             pose[i, 4] = -math.atan(grade)
             if velocity is not None:
@@ -105,7 +106,7 @@ class Sampler:
         run = self._run
         model, s, n = run._model, run._state, run.n_cars
         if self._work is None or len(self._work.pairs) != len(s.pairs):
-            self._work = make_work(n, len(s.pairs), 0, True)
+            self._work = make_work(n, len(s.pairs), 0, True, len(model.fixed))
             plain_masses(model, self._work.wk)
         work = self._work
         inside = t < run.time
@@ -125,6 +126,8 @@ class Sampler:
             cnt=s.cnt.copy(),
             truck_s=s.truck_s.copy(),
             pair=s.pair.copy(),
+            struck=s.struck.copy(),
+            group=s.group.copy(),
             coupling=s.coupling.copy(),
             loose=s.loose,
             truck_on=(s.truck_on0 if inside else s.truck_on).copy(),
@@ -133,7 +136,7 @@ class Sampler:
         if inside:
             view.coupling["travel"] = view.coupling["travel0"]
             view.coupling["share"] = view.coupling["share0"]
-        all_active(s, work)
+        prepare(model, view, work, q, v)
         if not accelerations(model, view, work, min(t, run.time), q, v, work.dx, PLAIN):
             raise ConstraintError("the constraint equations cannot be solved", run)
         self._locate_derailed_trucks(view)
@@ -144,7 +147,7 @@ class Sampler:
         return Sample(
             time=t,
             step=run.step_count,
-            pose=raised(run.track, planar(q), view.truck_s, velocity),
+            pose=raised(run.track, planar(q), view.truck_s, run.params.n_train, velocity),
             velocity=velocity,
             acceleration=planar(a),
             coupler_yaw=q[:, 3:5].copy(),
@@ -181,10 +184,11 @@ class Sampler:
         run, q = self._run, view.q
         c, sn = np.cos(q[:, 2]), np.sin(q[:, 2])
         arm = run._model.car["truck"]
+        lines = car_lines(run.params, run.track)
         coordinate = view.truck_s
         for k, sign in ((0, 1.0), (1, -1.0)):
             for i in np.flatnonzero(view.truck_on[:, k] == 0):
-                coordinate[i, k] = run.track.locate(
+                coordinate[i, k] = lines[i].locate(
                     float(q[i, 0] + sign * arm[i] * c[i]),
                     float(q[i, 1] + sign * arm[i] * sn[i]),
                     float(coordinate[i, k]),

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 _ROWS = {"pairs": "pairs", "mask": "pairs", "pair": "pairs", "contact": "contacts"}
 """Arrays with spare rows, and the counter of those in use."""
 
+LATER_ARRAYS = (
+    *("coupling", "over_since", "loose"),
+    *("struck", "hold", "dent", "group", "inside"),
+)
+"""Arrays that came later than the format of saved states."""
+
 
 def grown_pairs(state: State) -> State:
     """The state with twice the room for pairs, and room for their contacts."""
@@ -35,7 +41,8 @@ def grown_pairs(state: State) -> State:
 def grown_contacts(state: State) -> State:
     """The state with more than twice the room for contacts."""
     old = state.contact
-    return state._replace(contact=_longer(old, 2 * len(old) + len(state.pairs)))
+    more = len(old) + len(state.pairs) + len(state.struck)
+    return state._replace(contact=_longer(old, len(old) + more))
 
 
 def _longer(array: NDArray[Any], rows: int, fill: float = 0.0) -> NDArray[Any]:
@@ -111,19 +118,21 @@ def _restored(fresh: State, saved: dict[str, NDArray[Any]]) -> State:
 def _of_today(
     fresh: dict[str, NDArray[Any]], saved: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Arrays of a state from before there were forces along the track, with nothing of them."""
-    if "coupling" in saved:
-        return saved
-    of = layout.FIRST_POWERS
-    none = np.zeros(layout.N_POWER - of)
+    """Arrays of a state from before there were forces along the track, or sites: none of them."""
     arrays = dict(saved)
+    of = len(saved["power"]) if "power" in saved else layout.N_POWER
+    none = np.zeros(max(layout.N_POWER - of, 0))
     for name in ("energy", "energy0", "power", "power0", "power1"):
-        if name in saved:
+        if name in saved and len(none):
             arrays[name] = np.concatenate([saved[name][:of], none, saved[name][of:]])
-    rows = fresh["coupling"]
-    kind = rows.dtype
-    arrays["coupling"] = rows.view(kind[0]).reshape(len(rows), len(kind.names or ()))
-    return arrays | {name: fresh[name] for name in ("over_since", "loose")}
+    for name in LATER_ARRAYS if len(none) else ():  # a state of today has them all
+        if name not in saved:
+            array = fresh[name]
+            kind = array.dtype
+            if kind.names:
+                array = array.view(kind[0]).reshape(len(array), len(kind.names))
+            arrays[name] = array
+    return arrays
 
 
 def _as_rows(name: str, array: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:

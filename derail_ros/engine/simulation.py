@@ -13,6 +13,7 @@ import numpy as np
 
 from derail_ros.engine import layout, saving, stepper
 from derail_ros.engine.arrays import State, make_work
+from derail_ros.engine.blocks import prepare
 from derail_ros.engine.build import ARRIVALS, build_model, check_trigger, initial_state, validate
 from derail_ros.engine.dynamics import PLAIN, accelerations, project_positions, project_velocities
 from derail_ros.engine.energy import stored_energy
@@ -28,7 +29,7 @@ from derail_ros.engine.reports import (
     collision_of,
     event_of,
 )
-from derail_ros.engine.sampling import Sampler, all_active
+from derail_ros.engine.sampling import Sampler
 from derail_ros.engine.solver import plain_masses
 from derail_ros.engine.track import Track
 from derail_ros.engine.warming import ensure_compiled
@@ -93,7 +94,8 @@ class PlanarSimulation(Simulation):
     def _make_work(self) -> None:
         n = len(self.params.cars)
         event_rows = _EVENT_ROWS_PER_CAR * n + 2 * len(self._model.unit) + 64
-        self._work = make_work(n, len(self._state.pairs), event_rows, False)
+        fixed = len(self._model.fixed)
+        self._work = make_work(n, len(self._state.pairs), event_rows, False, fixed)
         plain_masses(self._model, self._work.wk)
         self._sampler = Sampler(self)
 
@@ -104,6 +106,21 @@ class PlanarSimulation(Simulation):
         project_velocities(self._model, s, self._work, s.v)
         s.q0[:] = s.q
         s.v0[:] = s.v
+        self._announce()
+        self._grow_until(rebuild(self._model, s, self._work))
+        if not self._evaluate():
+            raise ParameterError("initiation", "the constraints of the train are not independent")
+        s.a0[:] = s.a
+        s.a1[:] = s.a
+        s.power0[:] = s.power
+        s.power1[:] = s.power
+        self._model.par["datum"] = potential_energy(self._model, s, s.q)
+        s.clock["initial_energy"][0] = stored_energy(self._model, s, s.q, s.v)
+        self._drain()
+
+    def _announce(self) -> None:
+        """Events of the start; applications of the brakes that are given from there."""
+        s = self._state
         start = self.params.initiation
         for number, end in start.derailed_trucks:
             self._add_event(
@@ -139,22 +156,12 @@ class PlanarSimulation(Simulation):
             )
             self._scheduled.append(event)
         self._scheduled.sort(key=lambda e: e.time)
-        self._grow_until(rebuild(self._model, s, self._work))
-        if not self._evaluate():
-            raise ParameterError("initiation", "the constraints of the train are not independent")
-        s.a0[:] = s.a
-        s.a1[:] = s.a
-        s.power0[:] = s.power
-        s.power1[:] = s.power
-        self._model.par["datum"] = potential_energy(self._model, s, s.q)
-        s.clock["initial_energy"][0] = stored_energy(self._model, s, s.q, s.v)
-        self._drain()
 
     def _evaluate(self) -> bool:
         """Accelerations, multipliers and powers of the state as it stands, into the state."""
         s, work = self._state, self._work
         s.clock["t_on"][0] = s.clock["t"][0]
-        all_active(s, work)
+        prepare(self._model, s, work, s.q, s.v)
         ok = accelerations(self._model, s, work, self.time, s.q, s.v, s.a, PLAIN)
         s.power[:] = work.power
         s.rail_force[:] = work.lam_t
@@ -236,7 +243,8 @@ class PlanarSimulation(Simulation):
         return out
 
     def _collision(self, k: int) -> Collision:
-        return collision_of(k, layout.named(self._state.contact[k : k + 1])[0])
+        fixed = self.params.site.fixed
+        return collision_of(k, layout.named(self._state.contact[k : k + 1])[0], fixed)
 
     # --- going on ----------------------------------------------------------------------------
 
@@ -388,7 +396,7 @@ class PlanarSimulation(Simulation):
         """
         self._refuse_when_ended()
         try:
-            check_trigger(mode, source, car, delay, self.n_cars, "")
+            check_trigger(mode, source, car, delay, self.params.n_train, "")
         except ParameterError as error:
             raise CommandError(error.field.lstrip("."), error.reason) from None
         delay = float(delay)
@@ -416,12 +424,14 @@ class PlanarSimulation(Simulation):
         kind = ARRIVALS[mode]
         distance = self._model.car["distance"]
         units = self._model.unit["distance"]
+        own = self._model.unit["body"] < self.params.n_train
         places = []
         if source in ("front", "both_ends"):
             places.append(float(distance[0]))
         if source in ("rear", "both_ends"):
             # the virtual body's last car is further back than its centre
-            places.append(float(max(distance[-1], units.max(initial=0.0))))
+            last = float(distance[self.params.n_train - 1])
+            places.append(float(max(last, units[own].max(initial=0.0))))
         if source == "car":
             places.append(float(distance[car - 1]))
         for place in places:
@@ -444,8 +454,9 @@ class PlanarSimulation(Simulation):
     def _car_index(self, number: int) -> int:
         if not isinstance(number, (int, np.integer)) or isinstance(number, bool):
             raise CommandError("car", f"must be a whole number, not {number!r}")
-        if not 1 <= number <= self.n_cars:
-            raise CommandError("car", f"there is no car {number} (1 to {self.n_cars})")
+        last = self.params.n_train
+        if not 1 <= number <= last:
+            raise CommandError("car", f"there is no car {number} of the train (1 to {last})")
         return int(number) - 1
 
     # --- reports -----------------------------------------------------------------------------

@@ -21,6 +21,9 @@ and the couplings form a symmetric positive definite block tridiagonal system wi
 its block; nothing else changes. Where draft gear works along a coupling (``forces.draft_gear``)
 its D^-1 is ``n n^T / (n^T D n)``, n across the coupler: lambda has no part along it.
 
+Cars of a block (``blocks``) count as one: W has only its entry along the track, the inverse of the
+mass of all. Its forces across the track go to the rails alone.
+
 ``M^-1`` is a symmetric 3 x 3 block for (X, Y, theta) and two scalars for the coupler bodies, so
 that the same factorization serves integrators that add an implicit damping to M.
 """
@@ -122,6 +125,23 @@ def _mobility(w: Any, front: Any, rear: Any, on_f: bool, on_r: bool) -> bool:
 
 
 @inner_jit
+def _bound_mobility(work: Work, i: int) -> None:
+    """Mobility of the block that car ``i`` leads, or of a car that is bound, into its ends."""
+    last = work.tail[i]
+    mass = 0.0
+    for j in range(i, last + 1):
+        mass += 1.0 / work.wk[j].m_xx
+    for j in (i, last):
+        w = work.wk[j]
+        w.w_xx = 1.0 / mass
+        w.w_xy = 0.0
+        w.w_xt = 0.0
+        w.w_yy = 0.0
+        w.w_yt = 0.0
+        w.w_tt = 0.0
+
+
+@inner_jit
 def factor(model: Model, state: State, work: Work) -> bool:
     """Factor ``J M^-1 J^T`` at the angles in ``work.wk``; False when it is singular."""
     keep_separate()
@@ -129,6 +149,8 @@ def factor(model: Model, state: State, work: Work) -> bool:
     wk = work.wk
     truck_on = state.truck_on
     coupled = state.coupled
+    head = work.head
+    tail = work.tail
     geared = model.par[0].gear != 0.0
     n = wk.shape[0]
     ok = True
@@ -136,7 +158,12 @@ def factor(model: Model, state: State, work: Work) -> bool:
         w = wk[i]
         on_f = truck_on[i, 0] != 0
         on_r = truck_on[i, 1] != 0
-        if not _mobility(w, work.row[i, 0], work.row[i, 1], on_f, on_r):
+        if work.bound[i]:
+            if head[i] == i:
+                _bound_mobility(work, i)
+            elif tail[i] != i:
+                continue
+        elif not _mobility(w, work.row[i, 0], work.row[i, 1], on_f, on_r):
             ok = False
         # columns W J_F^T and W J_B^T of the attachments at the pivots
         ox = -car[i].pivot * w.st
@@ -155,7 +182,7 @@ def factor(model: Model, state: State, work: Work) -> bool:
         w.by_t = w.w_yt - w.w_tt * oy
 
     for k in range(n - 1):
-        if coupled[k] == 0:
+        if coupled[k] == 0 or head[k + 1] <= k:
             continue
         a = wk[k]
         b = wk[k + 1]
@@ -173,13 +200,14 @@ def factor(model: Model, state: State, work: Work) -> bool:
         dxx += b.fx_x + bx * b.fx_t + s * b.sa * b.sa
         dxy += b.fy_x + bx * b.fy_t - s * b.sa * b.ca
         dyy += b.fy_y + by * b.fy_t + s * b.ca * b.ca
-        if k > 0 and coupled[k - 1]:
+        ahead = head[k] - 1
+        if ahead >= 0 and coupled[ahead]:
             # L = -W_BF(k) ties this coupling to the one in front
             a.l_xx = -(a.fx_x + ax * a.fx_t)
             a.l_xy = -(a.fy_x + ax * a.fy_t)
             a.l_yx = -(a.fx_y + ay * a.fx_t)
             a.l_yy = -(a.fy_y + ay * a.fy_t)
-            e = wk[k - 1]
+            e = wk[ahead]
             txx = a.l_xx * e.d_xx + a.l_xy * e.d_xy
             txy = a.l_xx * e.d_xy + a.l_xy * e.d_yy
             tyx = a.l_yx * e.d_xx + a.l_yy * e.d_xy
@@ -221,9 +249,23 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
     gamma_c = work.gamma_c
     lam_t = work.lam_t
     lam_c = work.lam_c
+    head = work.head
+    tail = work.tail
     n = wk.shape[0]
     for i in range(n):
         w = wk[i]
+        x[i, 3] = force[i, 3] * w.m_front
+        x[i, 4] = force[i, 4] * w.m_rear
+        if work.bound[i]:
+            if head[i] == i:
+                f0 = 0.0
+                for j in range(i, tail[i] + 1):
+                    f0 += force[j, 0]
+                    x[j, 1] = 0.0
+                    x[j, 2] = 0.0
+                x[i, 0] = w.w_xx * f0
+                x[tail[i], 0] = x[i, 0]
+            continue
         f0 = force[i, 0]
         f1 = force[i, 1]
         f2 = force[i, 2]
@@ -239,8 +281,6 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
         x[i, 0] = a0
         x[i, 1] = a1
         x[i, 2] = a2
-        x[i, 3] = force[i, 3] * w.m_front
-        x[i, 4] = force[i, 4] * w.m_rear
 
     # couplings: eliminate from the front
     for k in range(n - 1):
@@ -248,33 +288,40 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
             lam_c[k, 0] = 0.0
             lam_c[k, 1] = 0.0
             continue
+        if head[k + 1] <= k:
+            continue
         a = wk[k]
         bx, by = rear_rate(car, x, wk, k)
         fx, fy = front_rate(car, x, wk, k + 1)
         a.rx = gamma_c[k, 0] - bx + fx
         a.ry = gamma_c[k, 1] - by + fy
-        if k > 0 and coupled[k - 1]:
-            e = wk[k - 1]
+        ahead = head[k] - 1
+        if ahead >= 0 and coupled[ahead]:
+            e = wk[ahead]
             ux = e.d_xx * e.rx + e.d_xy * e.ry
             uy = e.d_xy * e.rx + e.d_yy * e.ry
             a.rx -= a.l_xx * ux + a.l_xy * uy
             a.ry -= a.l_yx * ux + a.l_yy * uy
     # and substitute from the rear
     for k in range(n - 2, -1, -1):
-        if coupled[k] == 0:
+        if coupled[k] == 0 or head[k + 1] <= k:
             continue
         a = wk[k]
         rx = a.rx
         ry = a.ry
-        if k < n - 2 and coupled[k + 1]:
-            b = wk[k + 1]
-            rx -= b.l_xx * lam_c[k + 1, 0] + b.l_yx * lam_c[k + 1, 1]
-            ry -= b.l_xy * lam_c[k + 1, 0] + b.l_yy * lam_c[k + 1, 1]
+        behind = tail[k + 1]
+        if behind < n - 1 and coupled[behind]:
+            b = wk[behind]
+            rx -= b.l_xx * lam_c[behind, 0] + b.l_yx * lam_c[behind, 1]
+            ry -= b.l_xy * lam_c[behind, 0] + b.l_yy * lam_c[behind, 1]
         lam_c[k, 0] = a.d_xx * rx + a.d_xy * ry
         lam_c[k, 1] = a.d_xy * rx + a.d_yy * ry
 
+    for i in range(n):
+        if tail[i] == i and head[i] < i:
+            x[i, 0] = 0.0  # what the coupling behind a block adds is gathered here
     for k in range(n - 1):
-        if coupled[k] == 0:
+        if coupled[k] == 0 or head[k + 1] <= k:
             continue
         a = wk[k]
         b = wk[k + 1]
@@ -288,6 +335,22 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
         x[k + 1, 1] -= b.fx_y * lx + b.fy_y * ly
         x[k + 1, 2] -= b.fx_t * lx + b.fy_t * ly
         x[k + 1, 3] += car[k + 1].front * b.m_front * (b.sa * lx - b.ca * ly)
+
+    # all cars of a block go together; what a joint carries follows from the cars ahead of it
+    for i in range(n):
+        last = tail[i]
+        if head[i] < i or last == i:
+            continue
+        a0 = x[i, 0] + x[last, 0]
+        carried = 0.0
+        if i > 0 and coupled[i - 1]:
+            carried = lam_c[i - 1, 0]
+        for j in range(i, last + 1):
+            x[j, 0] = a0
+            if j < last:
+                carried += a0 / wk[j].m_xx - force[j, 0]
+                lam_c[j, 0] = carried
+                lam_c[j, 1] = 0.0
 
     # rail forces: G^-1 gamma - P^T (Q + coupler forces)
     for i in range(n):
@@ -312,6 +375,11 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
             f0 -= lx
             f1 -= ly
             f2 -= arm * (w.ct * ly - w.st * lx)
+        if work.bound[i]:
+            f2 /= car[i].truck
+            lam_t[i, 0] = -0.5 * (f1 + f2)
+            lam_t[i, 1] = -0.5 * (f1 - f2)
+            continue
         gf = gamma_t[i, 0] if truck_on[i, 0] else 0.0
         gr = gamma_t[i, 1] if truck_on[i, 1] else 0.0
         if truck_on[i, 0]:

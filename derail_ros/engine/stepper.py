@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, State, Work
+from derail_ros.engine.blocks import find_blocks
 from derail_ros.engine.contacts import track_contacts
+from derail_ros.engine.contacts_fixed import note_inside, track_fixed
 from derail_ros.engine.dynamics import (
     FACTORED,
     PLAIN,
@@ -43,12 +45,14 @@ from derail_ros.engine.forces.brakes import next_application
 from derail_ros.engine.forces.collisions import first_jump
 from derail_ros.engine.forces.couplers import first_kink, first_limit
 from derail_ros.engine.forces.draft_gear import first_fracture, keep_travel
+from derail_ros.engine.forces.fixed import list_near
 from derail_ros.engine.forces.pushes import next_push
 from derail_ros.engine.forces.track import first_overload, first_passing, on_track, truck_rows
+from derail_ros.engine.forces.zones import limit_border
 from derail_ros.engine.implicit import longest_stable
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.methods import BOUND, EXPONENT, GAMMA, META
-from derail_ros.engine.neighbours import list_is_stale, rebuild, refresh_active
+from derail_ros.engine.neighbours import limit_way, longest_listed, rebuild, strays
 from derail_ros.engine.runge_kutta import (
     error_at_end,
     last_stage_at_end,
@@ -63,8 +67,8 @@ NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = -1, -2, -3, -4
 
 # Verdicts on a trial: it stands; its error is too large; its end cannot be put onto the
 # constraints; there is a moment inside it (the next trial ends there); there are no accelerations
-# at its end.
-STANDS, INACCURATE, OFF_CONSTRAINTS, MOMENT_INSIDE, DEGENERATE = 0, 1, 2, 3, 4
+# at its end; it leads further than pairs were looked up for.
+STANDS, INACCURATE, OFF_CONSTRAINTS, MOMENT_INSIDE, DEGENERATE, ASTRAY = 0, 1, 2, 3, 4, 5
 
 
 @inner_jit
@@ -83,6 +87,16 @@ def copy_items(to: NDArray[Any], what: NDArray[Any]) -> None:
 
 
 @inner_jit
+def _foresee(state: State, work: Work, h: float) -> None:
+    """Where uniform acceleration leads in the time ``h`` into ``work.stage_q/v``."""
+    for i in range(state.q.shape[0]):
+        for k in range(5):
+            gain = h * state.a[i, k]
+            work.stage_q[i, k] = state.q[i, k] + h * (state.v[i, k] + 0.5 * gain)
+            work.stage_v[i, k] = state.v[i, k] + gain
+
+
+@inner_jit
 def plan_step(model: Model, state: State, work: Work) -> None:
     """Choose the size of the first trial, and note what limits it."""
     keep_separate()
@@ -91,23 +105,41 @@ def plan_step(model: Model, state: State, work: Work) -> None:
     t = state.clock[0].t
     copy_rows(work.truck_s, state.truck_s)
     state.clock[0].t_on = t
-    # no corner may move further than its share of the buffer
-    fastest = 1e-9
-    for i in range(state.v.shape[0]):
-        rim = abs(state.v[i, 2]) * model.car[i].radius
-        fastest = max(fastest, speed_of(state.v, i) + rim)
-    cap = min(par.h_max, par.step_share / fastest)
+    find_blocks(model, state, work, state.q, state.v)
     h = state.clock[0].h_next
     trial.wanted = h
     limit = layout.BY_ACCURACY
+    if h >= par.h_max:
+        h = par.h_max
+        limit = layout.BY_LARGEST
+    # cars that may turn or bend go no further over the ground than their share either: accuracy
+    # would let them, and lose digits in free motion
+    cap = h
+    for a in range(1, 1 + work.live[0]):
+        i = work.live[a]
+        fastest = speed_of(state.v, i) + abs(state.v[i, 2]) * model.car[i].radius
+        if cap * fastest > par.step_share:
+            cap = par.step_share / fastest
+    cap = limit_way(model, state, work, longest_listed(model, state, cap))
+    if model.fixed.shape[0] > 0:
+        cap = list_near(model, state, work, cap)
+    if model.zone.shape[0] > 0:
+        cap = limit_border(model, state, cap)
     if cap < h:
         h = cap
-        limit = layout.BY_LARGEST if h == par.h_max else layout.BY_CAP
+        limit = layout.BY_CAP
     if model.table[META, GAMMA] == 0.0:  # an explicit method
         stable = longest_stable(model, state, work, h, model.table[META, BOUND])
         if stable < h:
             h = stable
             limit = layout.BY_STABILITY
+    if par.locate != 0.0:
+        # a kink that can be foreseen costs no trial beyond it
+        _foresee(state, work, h)
+        share = first_kink(model, state, work, h)
+        if share < 1.0:
+            h = max(share * h, par.h_min)
+            limit = layout.BY_MOMENT
     # land on a switched force exactly; a sliver before it is spread over two steps
     switch = min(next_push(model, t), next_application(state, t))
     if t + h >= switch:
@@ -134,6 +166,8 @@ def try_stages(model: Model, state: State, work: Work) -> int:
     copy_rows(state.truck_s, work.truck_s)
     if not take_stages(model, state, work, h):
         return INACCURATE
+    if strays(model, state, work, h):
+        return ASTRAY
     if not error_at_end(model.table):
         trial.error = step_error(model, state, work, h, stages_of(model.table))
         if not trial.error <= 1.0:
@@ -310,7 +344,7 @@ def _next_size(model: Model, state: State, work: Work) -> None:
     if trial.rejected != 0.0:
         grow = min(grow, 1.0)
     proposal = trial.size * grow
-    if trial.limit != layout.BY_ACCURACY:
+    if trial.limit != layout.BY_ACCURACY and trial.limit != layout.BY_LARGEST:
         proposal = max(proposal, trial.wanted)
     state.clock[0].h_next = min(max(proposal, model.par[0].h_min), model.par[0].h_max)
 
@@ -322,10 +356,15 @@ def accept(model: Model, state: State, work: Work) -> int:
     clock = state.clock[0]
     take_over(model, state, work)
     track_contacts(model, state, work, clock.t, work.trial[0].size)
+    if model.fixed.shape[0] > 0:
+        track_fixed(model, state, work, clock.t, work.trial[0].size)
+    if model.area.shape[0] > 0:
+        note_inside(model, state)
     changed = remove_constraints(model, state, work)
     note_progress(model, state, work)
     if changed or clock.t == work.trial[0].switch:
         clock.t_on = clock.t
+        find_blocks(model, state, work, state.q, state.v)
         if not accelerations(model, state, work, clock.t, state.q, state.v, state.a, PLAIN):
             return SINGULAR
         _keep_forces(state, work)
@@ -386,18 +425,17 @@ def advance(model: Model, state: State, work: Work, t_target: float, max_steps: 
     n = state.q.shape[0]
     event_room = 6 * n + state.arrival.shape[0] + 8
     taken = 0
-    work.placed[0, 0] = math.nan
     clock = state.clock[0]
     cnt = state.cnt[0]
     while clock.t < t_target and taken < max_steps and cnt.status == layout.RUNNING:
-        if list_is_stale(model, state):
+        h = min(clock.h_next, model.par[0].h_max)
+        if longest_listed(model, state, h) < h:
             if not rebuild(model, state, work):
                 return GROW_PAIRS
-        if state.contact.shape[0] - cnt.contacts < cnt.pairs:
+        if state.contact.shape[0] - cnt.contacts < cnt.pairs + state.struck.shape[0]:
             return GROW_CONTACTS
         if work.event.shape[0] - cnt.events < event_room:
             return DRAIN
-        refresh_active(model, state, work)
         code = step(model, state, work)
         if code != DONE:
             cnt.status = layout.FAILED

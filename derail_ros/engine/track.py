@@ -21,8 +21,9 @@ import numpy as np
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Rows
-from derail_ros.engine.jit import jit
+from derail_ros.engine.jit import inner_jit, jit
 from derail_ros.engine.laws.profile import height
+from derail_ros.engine.trigonometry import sincos
 from derail_ros.vocabulary.params import GradeChange, TrackParams
 
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(8)
@@ -74,9 +75,31 @@ def piece_of(track: Rows, s: float, hint: int) -> int:
     return k
 
 
+@inner_jit
+def _foot_on_arc(track: Rows, k: int, x: float, y: float, s: float) -> tuple[float, float]:
+    """Foot point of (x, y) on piece ``k`` of constant curvature: track coordinate and offset, m.
+
+    Of the turns of a circle the one nearest to ``s`` counts.
+    """
+    n, c = sincos(track[k].psi)
+    dx = x - track[k].x
+    dy = y - track[k].y
+    a = c * dx + n * dy
+    b = -n * dx + c * dy
+    kappa = track[k].kappa
+    if kappa == 0.0:
+        return track[k].s + a, b
+    phi = math.atan2(kappa * a, 1.0 - kappa * b)
+    turns = (kappa * (s - track[k].s) - phi) / (2.0 * math.pi)
+    phi += 2.0 * math.pi * math.floor(turns + 0.5)
+    # the distance to the centre, in radii, is sqrt(1 + kappa w): free of cancellation
+    w = kappa * (a * a + b * b) - 2.0 * b
+    return track[k].s + phi / kappa, -w / (1.0 + math.sqrt(max(1.0 + kappa * w, 0.0)))
+
+
 @jit
 def locate(track: Rows, x: float, y: float, s: float) -> tuple[float, float, float, float, float]:
-    """Foot point of (x, y) on the line, by Newton's method from the coordinate ``s`` (m).
+    """Foot point of (x, y) on the line; on spirals by Newton's method from ``s`` (m).
 
     Returns ``(s, d, heading, kappa, residual)``: track coordinate, signed offset to the left (m),
     heading and curvature at the foot point, and what is left of the foot-point equation (m). The
@@ -90,7 +113,16 @@ def locate(track: Rows, x: float, y: float, s: float) -> tuple[float, float, flo
     h = 0.0
     kappa = 0.0
     for _ in range(30):
-        k = piece_of(track, s, k)
+        if track[k].dkappa == 0.0:
+            e = 0.0
+            s, d = _foot_on_arc(track, k, x, y, s)
+            h = heading_at(track, k, s - track[k].s)
+            kappa = track[k].kappa
+            other = piece_of(track, s, k)
+            if other == k:
+                break
+            k = other
+            continue
         u = s - track[k].s
         px, py = point_at(track, k, u)
         h = heading_at(track, k, u)
@@ -102,6 +134,7 @@ def locate(track: Rows, x: float, y: float, s: float) -> tuple[float, float, flo
         if abs(e) < 1e-11:
             break
         s += e / max(1.0 - kappa * d, 0.1)
+        k = piece_of(track, s, k)
     return s, d, h, kappa, e
 
 

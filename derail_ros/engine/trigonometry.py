@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from derail_ros.engine.arrays import F64, Rows
+from derail_ros.engine.arrays import F64, I64, Rows
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 
 _TWO_OVER_PI = 2.0 / math.pi
@@ -74,25 +74,27 @@ def sincos(x: float) -> tuple[float, float]:
 
 
 @inner_jit
-def angles(q: F64, wk: Rows, ang: F64) -> None:
-    """Cosines and sines of yaw and coupler angles of every car into ``wk``.
+def angles(q: F64, wk: Rows, ang: F64, live: I64) -> None:
+    """Cosines and sines of yaw and coupler angles of the cars in the list ``live`` into ``wk``.
 
     ``ang``: (3, 3 N) scratch: angles, sines, cosines.
     """
     keep_separate()
-    n = q.shape[0]
-    for i in range(n):
-        ang[0, 3 * i] = q[i, 2]
-        ang[0, 3 * i + 1] = q[i, 3]
-        ang[0, 3 * i + 2] = q[i, 4]
+    n = live[0]
+    for a in range(n):
+        i = live[1 + a]
+        ang[0, 3 * a] = q[i, 2]
+        ang[0, 3 * a + 1] = q[i, 3]
+        ang[0, 3 * a + 2] = q[i, 4]
     for m in range(3 * n):
         s, c = sincos(ang[0, m])
         ang[1, m] = s
         ang[2, m] = c
-    for i in range(n):
-        wk[i].ct = ang[2, 3 * i]
-        wk[i].st = ang[1, 3 * i]
-        wk[i].ca = ang[2, 3 * i + 1]
-        wk[i].sa = ang[1, 3 * i + 1]
-        wk[i].cb = ang[2, 3 * i + 2]
-        wk[i].sb = ang[1, 3 * i + 2]
+    for a in range(n):
+        i = live[1 + a]
+        wk[i].ct = ang[2, 3 * a]
+        wk[i].st = ang[1, 3 * a]
+        wk[i].ca = ang[2, 3 * a + 1]
+        wk[i].sa = ang[1, 3 * a + 1]
+        wk[i].cb = ang[2, 3 * a + 2]
+        wk[i].sb = ang[1, 3 * a + 2]

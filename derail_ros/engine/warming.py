@@ -1,7 +1,7 @@
 """Compile all kernels, or load them from the cache, before they are needed.
 
 Kernels are compiled once for a machine and a version of the sources (see ``jit``), which takes
-half a minute. Whoever builds the first run does it for all: other processes wait for a file lock
+about a minute. Whoever builds the first run does it for all: other processes wait for a file lock
 and then load the cache. A marker in the cache folder says that it is complete.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import threading
 import time
@@ -90,7 +89,7 @@ def remove_stale(root: Path, keep: Path, older_than: float = STALE_AFTER) -> lis
     return removed
 
 
-def _small_train() -> TrainParams:
+def small_train() -> TrainParams:
     coupler = CouplerType("F79", "F", 1.092, 0.788, 0.170, 3.15e6)
     cars = tuple(
         Car(
@@ -109,132 +108,22 @@ def _small_train() -> TrainParams:
     return TrainParams(cars=cars, initiation=InitiationParams(speed=10.0))
 
 
-def _exercise(before_steps: Callable[[], object] = lambda: None) -> None:
+def _exercise() -> None:
     """Run a train of three cars for a moment, through every kernel a run uses."""
     from derail_ros.engine.simulation import PlanarSimulation
 
-    run = PlanarSimulation(_small_train())
-    before_steps()
+    run = PlanarSimulation(small_train())
     run.advance_to(0.01)
     run.sample()
     run.sample(0.5 * (run.previous_time + run.time))
     run.outcome()
 
 
-def _types() -> tuple[Any, Any, Any]:
-    """Types of the arrays of a run, as the kernels see them."""
-    from numba import typeof
-
-    from derail_ros.engine.arrays import make_work
-    from derail_ros.engine.build import build_model, initial_state
-    from derail_ros.engine.track import Track
-
-    params = _small_train()
-    track = Track(params.track)
-    model = build_model(params, track)
-    state = initial_state(params, model, track)
-    work = make_work(len(params.cars), len(state.pairs), 64, False)
-    return typeof(model), typeof(state), typeof(work)
-
-
-def stepping() -> list[tuple[Any, tuple[Any, ...]]]:
-    """The parts of ``advance`` that evaluate no forces, each with the types of its arguments."""
-    from numba import float64, int64
-
-    from derail_ros.engine import (
-        contacts,
-        energy,
-        events,
-        interpolation,
-        neighbours,
-        runge_kutta,
-        stepper,
-    )
-
-    m, s, w = _types()
-    table, row = float64[:, ::1], float64[::1]
-    return [
-        # first, for the stages want its friction, which is then in the cache
-        (stepper.plan_step, (m, s, w)),
-        (contacts.track_contacts, (m, s, w, float64, float64)),
-        (events.remove_constraints, (m, s, w)),
-        (runge_kutta.step_error, (m, s, w, float64, int64)),
-        (events.note_progress, (m, s, w)),
-        (stepper.locate_moment, (m, s, w)),
-        (neighbours.refresh_active, (m, s, w)),
-        (stepper.locate_overload, (m, s, w)),
-        (stepper.take_over, (m, s, w)),
-        (stepper.reject, (m, s, w, int64)),
-        (energy.energy_residual, (m, s)),
-        (interpolation.interpolate, (s, float64, table, table, table)),
-        (interpolation.interpolate_energy, (s, float64, row)),
-    ]
-
-
-def compile_stepping() -> None:
-    """Compile the parts of ``advance`` that evaluate no forces."""
-    for kernel, types in stepping():
-        kernel.compile(types)
-
-
-def compile_stages() -> None:
-    """Compile the stages of a step, which evaluate forces."""
-    from numba import float64
-
-    from derail_ros.engine import runge_kutta
-
-    runge_kutta.take_stages.compile((*_types(), float64))
-
-
-def be_second_process() -> None:
-    """Compile the stepping, and end at once if the process that asked for it is gone."""
-
-    def watch() -> None:
-        os.read(0, 1)  # nothing is written there: it ends with its writer
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-    _ready.set()
-    compile_stepping()
-
-
-@contextmanager
-def _second_process() -> Iterator[Callable[[], object]]:
-    """Compile the stepping beside the forces; gives what waits for it.
-
-    The second process leaves what it compiled in the cache. What it did not is compiled here.
-    """
-    if (os.cpu_count() or 1) < 2:
-        yield lambda: None
-        return
-    code = (
-        f"import sys; sys.path[:] = {sys.path!r}\n"
-        "from derail_ros.engine import warming\n"
-        "warming.be_second_process()"
-    )
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-    except OSError:
-        yield lambda: None
-        return
-    try:
-        yield process.wait
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
-        if process.stdin is not None:
-            process.stdin.close()
-
-
 def _compile(say: Callable[[str], None]) -> None:
     marker = CACHE_DIR / COMPLETE
     if not CAN_KEEP:
         say(
-            f"{CACHE_DIR} cannot be written: the kernels are compiled at each start (about half a "
+            f"{CACHE_DIR} cannot be written: the kernels are compiled at each start (about a "
             "minute); set DERAIL_CACHE_DIR to a folder that can"
         )
         _exercise()
@@ -242,15 +131,9 @@ def _compile(say: Callable[[str], None]) -> None:
     with _only_one(CACHE_DIR, say):
         if marker.exists():
             return
-        say(f"compiling the kernels for this machine, once (about half a minute; {CACHE_DIR})")
+        say(f"compiling the kernels for this machine, once (about a minute; {CACHE_DIR})")
         began = time.perf_counter()
-        with _second_process() as wait:
-
-            def before_steps() -> None:
-                compile_stages()
-                wait()
-
-            _exercise(before_steps)
+        _exercise()
         say(f"compiled in {time.perf_counter() - began:.0f} s")
         try:
             marker.touch()

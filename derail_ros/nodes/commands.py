@@ -112,7 +112,7 @@ def apply(session: Session, name: str, arguments: Mapping[str, Any]) -> tuple[st
     place = session.command(name, **arguments)
     if name != "inject_rail_break":
         return "applied", math.nan
-    message = f"rail break at {place:.3f} m"
+    message = f"rail break at {place + 0.0:.3f} m"  # without the sign of zero
     if any(abs(place - other) < SAME_PLACE for other in broken):
         message += "; the rail was already broken there"
     return message, float(place)

@@ -119,8 +119,11 @@ class SimulatorCore:
         return self.state == State.PLAYING or self.stepping
 
     def listening(self) -> dict[str, int]:
-        """Number of subscribers of each topic of the state."""
-        topics = () if self.session is None else self.session.state_topics
+        """Subscribers of each topic of the state; of sensors too while nothing moves."""
+        topics: tuple[str, ...] = ()
+        if self.session is not None:
+            still = () if self.active else self.session.sensor_topics
+            topics = (*self.session.state_topics, *still)
         return {topic: self._output.subscribers(topic) for topic in topics}
 
     @property
@@ -195,8 +198,9 @@ class SimulatorCore:
         """Make a scenario ready, from any thread; see :func:`loading.prepare`."""
         settings = self.settings
         prepared = loading.prepare(
-            name, text, speed_kmh, dirs=settings.scenario_dirs, frame_id=settings.frame_id
-        )
+            name, text, speed_kmh, dirs=settings.scenario_dirs, frame_id=settings.frame_id,
+            model=settings.model,
+        )  # fmt: skip
         describe(prepared, settings)
         return prepared
 
@@ -218,7 +222,8 @@ class SimulatorCore:
             self._begin(prepared, EventKind.RUN_LOADED)
             wanted = State.PAUSED if request["start_paused"] else State.PLAYING
             self._go(wanted if state is None else state)
-            return f"loaded {prepared.name}: {prepared.simulation.n_cars} cars, run {self.run_id}"
+            cars = prepared.simulation.params.n_train
+            return f"loaded {prepared.name}: {cars} cars, run {self.run_id}"
 
         return self._serve(Request("load_consist", request, caller), act)
 

@@ -10,16 +10,28 @@ DOMAINS = 101
 """Domains 1 to 101 keep clear of the ports that the system gives to programs."""
 
 
+PARTICIPANTS = 10
+"""Numbers of participants that are looked for in a domain."""
+
+
 def port(domain: int) -> int:
     """UDP port of the first participant in a domain (DDSI-RTPS 2.5, 9.6.2.3)."""
     return 7410 + 250 * domain
 
 
 def in_use(domain: int) -> bool:
-    """Whether a participant of this machine is in a domain."""
+    """Whether a participant of this machine is in a domain.
+
+    Each participant of a process has a number of its own, whatever its domain, and listens two
+    ports further for each: all that a machine commonly has are looked at.
+    """
+    return any(_bound(port(domain) + 2 * number) for number in range(PARTICIPANTS))
+
+
+def _bound(number: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind(("", port(domain)))
+            probe.bind(("", number))
         except OSError:
             return True
     return False

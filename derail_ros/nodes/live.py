@@ -13,6 +13,7 @@ from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.parameters import SENSORS, Settings
 from derail_ros.recording.session import Prepared
 from derail_ros.vocabulary.events import EventKind
+from derail_ros.vocabulary.place import datum_of
 from derail_ros.vocabulary.sample import Sample
 from derail_ros.vocabulary.simulation import Simulation
 from msg_adapters import sensors
@@ -25,26 +26,28 @@ from msg_adapters.frames import (
     static_transforms,
 )
 from msg_adapters.reports import string
-from msg_adapters.sensors import Datum, Sensor
+from msg_adapters.sensors import Sensor
 
 Messages = list[tuple[str, bytes]]
 GRAIN = 1e-9
 """Times closer than this are the same, s."""
 
 
-def chosen_cars(text: str, n_cars: int) -> Iterator[tuple[int, str]]:
+def chosen_cars(text: str, n_cars: int) -> list[tuple[int, str]]:
     """Indices of cars, and what stands after a colon: ``"all"``, ``"1 20-25 30:front_truck"``.
 
-    Cars that the train does not have are left out.
+    Each once; cars that the train does not have are left out.
     """
+    found: dict[tuple[int, str], None] = {}
     for part in re.split(r"[\s,]+", text.strip()):
         cars, _, place = part.partition(":")
         first, _, last = cars.partition("-")
         if cars == "all":
             first, last = "1", str(n_cars)
         if first:
-            yield from ((i - 1, place) for i in range(int(first), int(last or first) + 1)
-                        if 1 <= i <= n_cars)  # fmt: skip
+            low, high = sorted((int(first), int(last or first)))
+            found |= {(i - 1, place): None for i in range(low, min(high, n_cars) + 1)}
+    return list(found)
 
 
 class LiveMessages:
@@ -60,17 +63,18 @@ class LiveMessages:
         context: RunContext,
     ) -> None:
         self._settings, self._simulation, self._context = settings, simulation, context
-        self._output, self._prepared = output, prepared
+        self._output, self._prepared, self._log = output, prepared, log
         self._ticks: dict[str, Callable[[Sample], bytes]] = {}
         params, prefix = simulation.params, settings.prefix
         if settings.publish_tf:
             self._ticks["/tf"] = TransformEncoder(params, context, prefix)
         self._ticks["joint_states"] = JointEncoder(len(params.cars), context, prefix)
         self.topics = tuple(self._ticks)
+        self.measured: dict[str, bytes] = {}
         self._events = 0
         self._reached: dict[int, float] = {}
         site = prepared.resolved.get("site") or {}
-        self._datum = _datum(site.get("datum"))
+        self._datum = datum_of(site)
         if settings.navsat and self._datum is None:
             log.warning(f"no navsat: the scenario {prepared.name} has no site.datum")
         # Rate, number of measurements so far, sensor.
@@ -91,7 +95,10 @@ class LiveMessages:
                 getattr(settings, f"{name}_noise", 0.0),
                 getattr(settings, f"{name}_rate"),
             )
-            for car, place in chosen_cars(getattr(settings, name), n):
+            cars = chosen_cars(getattr(settings, name), n)
+            if getattr(settings, name).strip() and not cars:
+                self._log.warning(f"no {name}: the train has cars 1 to {n} only")
+            for car, place in cars:
                 rng = np.random.default_rng([settings.sensor_seed, number, car])
                 common = (context, prefix, noise, rng)
                 if name == "odometry":
@@ -131,7 +138,8 @@ class LiveMessages:
             rate, count, sensor = entry
             if count / rate <= sample.time + GRAIN:
                 entry[1] += 1
-                messages.append((sensor.topic, sensor(sample)))
+                self.measured[sensor.topic] = data = sensor(sample)
+                messages.append((sensor.topic, data))
         self.due = min(count / rate for rate, count, _ in self._sensors)
         return messages
 
@@ -143,14 +151,6 @@ def describe(prepared: Prepared, settings: Settings) -> bytes:
         text = robot_description(prepared.simulation.params, settings.frame_id, settings.prefix)
         kept["robot_description"] = serialize(string(text))
     return bytes(kept["robot_description"])
-
-
-def _datum(data: Any) -> Datum | None:
-    """The datum of a scenario's site, if it has one."""
-    if data is None:
-        return None
-    azimuth = math.radians(data["azimuth_deg"])
-    return Datum(data["latitude_deg"], data["longitude_deg"], data["altitude_m"], azimuth)
 
 
 def live(settings: Settings, output: Output, log: Any) -> Callable[..., LiveMessages]:

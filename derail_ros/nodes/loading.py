@@ -23,8 +23,10 @@ def warm_up(model: str) -> None:
     models.engine(model).warm_up()
 
 
-def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
+def read(name: str, text: str, dirs: Sequence[str], model: str = "") -> Scenario:
     """A scenario by its name or from its text; no path from a client is opened.
+
+    ``model``: in place of its own.
 
     Raises
     ------
@@ -37,6 +39,8 @@ def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
         raise ValueError("scenario_yaml is over 512 KB")
     try:
         scenario = loads_scenario(text, dirs=dirs) if text else load_scenario_by_name(name, dirs)
+        if model:
+            scenario = scenario.with_overrides({"model": model})
     except ScenarioError as error:
         raise ValueError(str(error)) from error
     if scenario.n_cars > MAX_CARS:
@@ -45,7 +49,7 @@ def read(name: str, text: str, dirs: Sequence[str]) -> Scenario:
 
 
 def prepare(
-    name: str, text: str, speed_kmh: float, *, dirs: Sequence[str], frame_id: str
+    name: str, text: str, speed_kmh: float, *, dirs: Sequence[str], frame_id: str, model: str = ""
 ) -> Prepared:
     """Read a scenario and make it ready to run, from any thread.
 
@@ -56,7 +60,7 @@ def prepare(
     ValueError
         With the reason for which it is refused.
     """
-    scenario = read(name, text, dirs)
+    scenario = read(name, text, dirs, model)
     if math.isinf(speed_kmh) or speed_kmh < 0.0:
         raise ValueError(f"speed_kmh must be a finite number from 0 up, got {speed_kmh}")
     try:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from derail_ros.nodes.core import SimulatorCore
 from derail_ros.nodes.diagnostics import Diagnostics
-from derail_ros.nodes.outputs import Output
+from derail_ros.nodes.outputs import Latecomers, Output
 from derail_ros.recording.session import Session
 from derail_ros.vocabulary.errors import SimulationError
 
@@ -15,9 +15,8 @@ SLICE = 0.008
 """Wall time of computing after which requests are served, s."""
 IDLE = 0.1
 """Wall time after which the loop goes round even if nothing is due, s."""
-PRESENT = (0.0, 1.0, 3.0, 8.0)
-"""Wall times after which a new subscriber gets the present state, s: more than once, for it may
-match on its side long after here, and then misses what was sent before."""
+LOOK_EVERY = 0.05
+"""Wall time between two looks for new subscribers, s."""
 CLEARS = 3
 """Marker messages of a new run that clear the view: one (depth 1) could be overwritten."""
 
@@ -35,8 +34,8 @@ class Loop:
         self._clears = 0
         self._still: Session | None = None
         self._sent = 0
-        self._heard_by: dict[str, int] = {}
-        self._due: dict[str, list[float]] = {}
+        self._look = 0.0
+        self._late = Latecomers()
 
     def work(self) -> float:
         """Do what is due, for about a slice at most.
@@ -112,26 +111,21 @@ class Loop:
     def _send_present(self, now: float) -> None:
         """While nothing moves, send the state to subscribers that have come since."""
         core, session = self._core, self._core.session
-        if session is None:
+        if session is None or (session is self._still and now < self._look):
             return
+        self._look = now + LOOK_EVERY
         counts = core.listening()
         if session is not self._still or core.active:
-            # Known to have listened to the last tick: those before it, not those of this moment.
-            known = self._heard_by if session is self._still else core.listened
-            self._still, self._sent, self._due = session, 0, {}
-            self._heard_by = counts if core.active else known
-        for name, count in counts.items():
-            if count > self._heard_by.get(name, 0):
-                self._due[name] = [now + after for after in PRESENT]
-        self._heard_by = counts
-        due = {name for name, times in self._due.items() if times and now >= times[0]}
+            # Those of a run that begins paused listened to its first tick.
+            self._still, self._sent = session, 0
+            self._late.reset(counts if core.active else core.listened)
+        due = self._late.due(counts, now)
         if due:
             # A nanosecond later each time: tf2 complains of a time that it has already.
             self._sent += 1
             core.tell_time(session.stamp + self._sent)
             for name, data in session.present(self._sent):
                 if name in due:
-                    self._due[name].pop(0)
                     self._output.publish(name, data)
 
     def _send_diagnostics(self, now: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -25,6 +25,8 @@ OFFERED_DEPTH = 100
 """Depth of the topics of sensors: half a second of the fastest usual ones."""
 TWINS_EVERY = 1.0
 """Wall time between two looks for other publishers of the same topics, s."""
+PRESENT = (0.0, 1.0, 3.0, 8.0)
+"""Wall times after which a new subscriber gets the present state, s."""
 NOT_AWAITED = ("clock", "diagnostics", "markers")
 """Topics whose last message nobody needs: the end does not wait for them."""
 
@@ -104,6 +106,7 @@ class Outputs:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._channels: dict[str, _Channel] = {}
+        self._busy = False
 
     def open(self, name: str, make: Callable[[], Any], latched: bool = False) -> None:
         """Publish a topic; ``make`` makes its publisher."""
@@ -149,7 +152,7 @@ class Outputs:
 
         A new publisher waits until it has matched as many subscribers as the old one had.
         """
-        now = time.monotonic()
+        now, self._busy = time.monotonic(), True
         for channel in self._channels.values():
             if not channel.latched:
                 continue
@@ -168,14 +171,16 @@ class Outputs:
 
     def pump(self) -> bool:
         """Send what waits and destroy what is done; returns whether anything is left to do."""
-        busy = False
+        if not self._busy:
+            return False
+        self._busy = False
         for channel in self._channels.values():
             if channel.until:
                 self._release(channel)
             if channel.retired:
                 channel.retired = [each for each in channel.retired if not self._retire(each)]
-            busy = busy or bool(channel.until) or bool(channel.retired)
-        return busy
+            self._busy = self._busy or bool(channel.until) or bool(channel.retired)
+        return self._busy
 
     def _release(self, channel: _Channel) -> None:
         matched = channel.publisher.get_subscription_count() >= channel.expected
@@ -202,6 +207,36 @@ class Outputs:
         for name, channel in self._channels.items():
             if name.rpartition("/")[2] not in NOT_AWAITED:
                 acknowledged(channel.publisher, max(0.0, end - time.monotonic()))
+
+
+class Latecomers:
+    """Finds the topics that have new subscribers while nothing moves.
+
+    They get the present state several times, at :data:`PRESENT`: who has matched here may match
+    on its side long after, and then misses what was sent before.
+    """
+
+    def __init__(self) -> None:
+        self._heard_by: dict[str, int] = {}
+        self._due: dict[str, list[float]] = {}
+
+    def reset(self, counts: Mapping[str, int]) -> None:
+        """Begin anew; the subscribers there are have the present state."""
+        self._heard_by, self._due = dict(counts), {}
+
+    def due(self, counts: Mapping[str, int], now: float) -> set[str]:
+        """Topics on which to send, by the numbers of subscribers and the wall time (s).
+
+        A topic that has not been counted before has no new ones.
+        """
+        for name, count in counts.items():
+            if count > self._heard_by.get(name, count):
+                self._due[name] = [now + after for after in PRESENT]
+        self._heard_by = dict(counts)
+        found = {name for name, times in self._due.items() if times and now >= times[0]}
+        for name in found:
+            self._due[name].pop(0)
+        return found
 
 
 class TwinWatch:

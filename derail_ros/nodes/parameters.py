@@ -91,7 +91,12 @@ class Parameter:
         if self.form and not re.fullmatch(self.form[0], value):
             raise ValueError(f"{self.name} must be {self.range}, got {value!r}")
         if self.path:
-            return [_expanded(v) for v in value] if isinstance(value, list) else _expanded(value)
+            try:
+                return (
+                    [_expanded(v) for v in value] if isinstance(value, list) else _expanded(value)
+                )
+            except ValueError as error:
+                raise ValueError(f"{self.name}: {error}") from None
         # False for NaN, too.
         if self.limits is not None and not self.limits[0] <= value <= self.limits[1]:
             unit = f" {self.unit}" if self.unit not in ("", "1") else ""
@@ -100,7 +105,10 @@ class Parameter:
 
 
 def _expanded(path: str) -> str:
-    return os.path.expandvars(os.path.expanduser(path))
+    found = os.path.expandvars(os.path.expanduser(path))
+    if unknown := re.match(r"~[^/]*", found) or re.search(r"\$(\w+|\{[^}]*\})", found):
+        raise ValueError(f"there is nothing to put for {unknown[0]} in {path}")
+    return found
 
 
 FRAME = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
@@ -128,7 +136,7 @@ STORAGE = Parameter(
     "storage", "mcap", "storage of the recording", choices=("mcap", "sqlite3"), read_only=True
 )
 
-CARS = r"(all|\d{1,4}(-\d{1,4})?)"
+CARS = r"(all|[1-9]\d{0,3}(-[1-9]\d{0,3})?)"
 SENSORS: dict[str, dict[str, Any]] = {
     "odometry": {"what": "pose and velocity (nav_msgs/Odometry)", "rate": 50.0},
     "imu": {
@@ -187,6 +195,12 @@ SIMULATOR = (
         "mississauga",
         "name of the scenario to load; set while the node runs, it loads that scenario as "
         "`~/load_consist` does; empty: no scenario at the start",
+    ),
+    Parameter(
+        "model",
+        "",
+        "model that computes the runs, in place of the scenario's; empty: the scenario's",
+        read_only=True,
     ),
     Parameter(
         "scenario_dirs",
@@ -283,7 +297,13 @@ def _fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
 
 
 RECORDER = _fixed(
-    Parameter("path", "derail_bag", "folder of the recording; it must not exist", path=True),
+    Parameter(
+        "path",
+        "derail_bag",
+        "folder of the recording; it must not exist",
+        path=True,
+        form=(".+", "the name of a folder"),
+    ),
     STORAGE,
     Parameter(
         "topics",
@@ -356,6 +376,16 @@ class Settings:
         if self.frame_prefix != NAMESPACE:
             return str(self.frame_prefix)
         return f"{self.namespace.strip('/')}/".lstrip("/")
+
+    def check_frames(self) -> None:
+        """Refuse an inertial frame that has the name of a frame of a train.
+
+        Raises
+        ------
+        ValueError
+        """
+        if re.fullmatch(rf"{re.escape(self.prefix)}car_\d+(/.*)?", self.frame_id):
+            raise ValueError(f"frame_id must not be a frame of the train, got {self.frame_id!r}")
 
     @property
     def full_name(self) -> str:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import bisect
 import fnmatch
 import itertools
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from derail_ros.nodes.outputs import Output
@@ -25,6 +24,8 @@ STALL = 0.5
 """Lateness that is made up for, s."""
 LOOK_BACK = 2 * NANOSECONDS
 """How far back a seek looks for the last state of everything, ns."""
+RATES = (1e-3, 1000.0)
+"""Rates that can be set."""
 OWN_CLOCK = ("/clock",)
 """Topics that the player makes itself."""
 
@@ -71,6 +72,8 @@ class Playback:
         self.stopped = False
         self.laps = 0
         span = self.bag.span()
+        if next(self.bag.messages(lambda c: not c.is_manifest), None) is None:
+            span = None
         if span is None:
             raise BagError(f"{self.bag.path}: no message in it")
         self.start, self.end = span
@@ -157,8 +160,8 @@ class Playback:
             self._anchor = self._wall()
 
     def set_rate(self, rate: float) -> bool:
-        """Play at another rate; refused unless it is finite and above zero."""
-        if not math.isfinite(rate) or rate <= 0.0:
+        """Play at another rate; refused outside of :data:`RATES`."""
+        if not RATES[0] <= rate <= RATES[1]:
             return False
         self._set(self.now)
         self.rate = float(rate)
@@ -201,13 +204,23 @@ class Playback:
         shown = bisect.bisect_right(self._latched, stamp, key=lambda item: item[0])
         for _, topic, data in self._latched[:shown]:
             self.output.publish(topic, data)
+        for topic, data in self._last(stamp).items():
+            self.output.publish(topic, data)
+
+    def show_again(self, topics: Collection[str]) -> None:
+        """Publish the last message until now of topics that are not latched."""
+        for topic, data in self._last(self.now + 1).items():
+            if topic in topics and self.output is not None:
+                self.output.publish(topic, data)
+
+    def _last(self, stamp: int) -> dict[str, bytes]:
+        """The last message before a moment of each topic that is not latched."""
         last: dict[str, bytes] = {}
         early = max(self.start, stamp - LOOK_BACK)
         for channel, _, data in self.bag.messages(self._is_played, start=early, stop=stamp):
             if not self._is_latched(channel):
                 last[channel.topic] = present_bytes(channel, data)
-        for topic, data in last.items():
-            self.output.publish(topic, data)
+        return last
 
     # --- playing -----------------------------------------------------------------------------
 

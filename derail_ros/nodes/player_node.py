@@ -12,6 +12,7 @@ from derail_ros.nodes.clock_guard import CLOCK, GRACE, ClockGuard
 from derail_ros.nodes.declaration import declare
 from derail_ros.nodes.outputs import (
     FIRST_WAIT,
+    Latecomers,
     ListenerWait,
     Outputs,
     TwinWatch,
@@ -88,6 +89,7 @@ class Player(Program):
         self._clock_due = 0.0
         watched = [c.topic for c in playback.channels if not (c.latched or c.topic in EVERYWHERE)]
         self._twins = TwinWatch(node, watched, self.log)
+        self._late, self._look = Latecomers(), 0.0
         self._began = time.monotonic()
         self._playing = False
         self._offer_services()
@@ -136,7 +138,19 @@ class Player(Program):
             return now + LOOK_EVERY
         self._twins.look()
         due = min(self.playback.work(), self._work_clock())
+        self._serve_late(now)
         return min(due, now + LOOK_EVERY) if busy else due
+
+    def _serve_late(self, now: float) -> None:
+        """While it is paused, send the present state to subscribers that have come since."""
+        if now < self._look:
+            return
+        self._look = now + LOOK_EVERY
+        counts = {topic: self.outputs.subscribers(topic) for topic in self._topics}
+        if not self.playback.paused:
+            self._late.reset(counts)
+        elif due := self._late.due(counts, now):
+            self.playback.show_again(due)
 
     def _work_clock(self) -> float:
         now = time.monotonic()
@@ -156,7 +170,9 @@ class Player(Program):
         self._playing = True
         if self._offset or self._paused:
             self.playback.seek(self.playback.start + self._offset)
-        if not self._paused:
+        if self._paused:
+            self.playback.send_present()
+        else:
             if self._listeners.came:
                 self.playback.send_present()
                 self.outputs.settle(FIRST_WAIT)

@@ -30,6 +30,10 @@ PROGRAMS = {
 takes a second or two, and a signal meanwhile must end the process quietly."""
 
 
+AGAIN = 0.02
+"""Wall time after which a signal that came at a bad moment comes again, s."""
+
+
 class NodeError(Exception):
     """A node cannot start, or has not done all it was asked to; the text is one line."""
 
@@ -47,6 +51,15 @@ def starting() -> Iterator[None]:
         raise NodeError(str(error)) from error
 
 
+def _in_compiler(frame: FrameType | None) -> bool:
+    """Whether LLVM has called back: it swallows an exception, and its traceback is printed."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite.binding"):
+            return True
+        frame = frame.f_back
+    return False
+
+
 class Stop:
     """A request to end, set by SIGINT or SIGTERM.
 
@@ -58,14 +71,16 @@ class Stop:
         self.asked = False
         self._raises = False
         self._leaves = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
         if self._leaves:
             os._exit(OK)
-        if self._raises:
+        if self._raises and _in_compiler(frame):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        elif self._raises:
             raise Interrupted
 
     def importing(self, module: str) -> Any:
@@ -131,6 +146,7 @@ def run_node(name: str, argv: Sequence[str] | None = None) -> int:
         print(stop.importing("derail_ros.nodes.declaration").usage(name))
         return OK
     try:
+        _check_arguments(arguments, stop.importing("rclpy.utilities"))
         stop.importing("rclpy.executors")
         module, program = PROGRAMS[name]
         make = getattr(stop.importing(f"derail_ros.nodes.{module}"), program)
@@ -147,6 +163,16 @@ def run_node(name: str, argv: Sequence[str] | None = None) -> int:
         rclpy = sys.modules.get("rclpy")
         if rclpy is not None:
             rclpy.try_shutdown()
+
+
+def _check_arguments(arguments: list[str], utilities: Any) -> None:
+    """Refuse what no node looks at: a scenario or a parameter given in another way."""
+    with starting():
+        left = utilities.remove_ros_args(["", *arguments])[1:]
+    if left:
+        raise NodeError(
+            f"unknown argument {left[0]}; parameters are given as --ros-args -p NAME:=VALUE"
+        )
 
 
 def _drive(name: str, make: Callable[[Any], Program], arguments: list[str], stop: Stop) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,9 +13,6 @@ from msg_adapters.common import NANOSECONDS
 SERVICE_DEPTH = 100
 """Requests of a service that may wait, and answers that may be under way. With the usual depth of
 10 the middleware drops the rest silently."""
-QUIET = 0.015
-"""Wall time for which the loop does not look for requests after it has waited for one in vain,
-unless it has nothing else to do, s."""
 SERVE = 0.004
 """Wall time for which requests are served before the run goes on, s."""
 ROUND = 1.0
@@ -74,20 +72,23 @@ class DeferredService:
 
 
 class RequestWaiter:
-    """Waits for requests, and has the executor serve them.
+    """Waits for requests in a thread of its own, and has the executor serve them in the caller's.
 
-    A round of ``rclpy``'s executor costs as much as publishing a whole tick: it collects all
-    entities and makes a wait set of them. Here the wait set is made once, and the executor runs
-    only when there is something to serve, and once a second for everything else. The guard
-    condition ``woken`` ends the waiting from any thread.
+    A round of ``rclpy``'s executor costs as much as publishing a whole tick, and a wait of the
+    middleware with all services in it a third of that. Here one wait goes on until there is
+    something to serve, or for a second, and the loop of the node sleeps on a lock. The guard
+    condition ``woken`` ends the wait from any thread. While the executor runs, no wait goes on: it
+    may change what there is to wait for.
     """
 
     def __init__(self, node: Any, woken: Any) -> None:
         self._node = node
         self._woken = woken
-        self._quiet = 0.0
-        self._round = 0.0
-        self._collect()
+        self._thread = threading.Thread(target=self._watch, name="requests", daemon=True)
+        self._bell, self._again = threading.Lock(), threading.Lock()
+        self._bell.acquire()
+        self._again.acquire()
+        self._closed = False
 
     def _collect(self) -> None:
         """Make the wait set."""
@@ -110,25 +111,40 @@ class RequestWaiter:
 
     def wait(self, executor: Any, due: float) -> None:
         """Serve what arrives until something is due (wall time, s)."""
-        now = time.monotonic()
-        if now < due <= self._quiet:
-            time.sleep(due - now)
-        elif self._ready(max(0.0, due - now)):
-            self._serve(executor, self._ready)
-        elif now >= self._round:
-            self._serve(executor, lambda: False)
-            self._round = now + ROUND
-        elif due > now:
-            self._quiet = time.monotonic() + QUIET
+        if self._thread.ident is None:
+            self._thread.start()
+            self._serve(executor)
+        elif self._bell.acquire(timeout=max(0.0, due - time.monotonic())):
+            self._serve(executor)
 
-    def _serve(self, executor: Any, more: Callable[[], bool]) -> None:
+    def close(self) -> None:
+        """End the thread."""
+        self._closed = True
+        if self._thread.ident is not None:
+            self._woken.trigger()
+            self._bell.acquire()
+            self._again.release()
+            self._thread.join()
+
+    def _watch(self) -> None:
+        while True:
+            self._again.acquire()
+            if self._closed:
+                return
+            try:
+                self._ready(ROUND)
+            finally:
+                self._bell.release()
+
+    def _serve(self, executor: Any) -> None:
         end = time.monotonic() + SERVE
         while True:
             executor.spin_once(timeout_sec=0.0)
             # Entities may have changed: the parameter use_sim_time adds a subscription.
             self._collect()
-            if time.monotonic() >= end or not more():
+            if time.monotonic() >= end or not self._ready():
                 break
+        self._again.release()
 
     def _ready(self, seconds: float = 0.0) -> bool:
         """Whether there is a request or a message, after waiting for at most this long."""

@@ -47,7 +47,7 @@ from msg_adapters.topics import (
 EXIT_WAIT = 5.0
 """Wall time for which the end waits until everything has arrived, s."""
 LOOK_EVERY = 0.02
-"""Wall time between two looks for listeners, s."""
+"""Wall time between two looks at the graph, s."""
 PUMP_EVERY = 0.005
 """Wall time between two looks at renewed publishers, s."""
 
@@ -75,6 +75,7 @@ class Simulator(Program):
             name=node.get_name(),
             state_dir=str(get_logging_directory()),
         )
+        settings.check_frames()
         self.outputs = Outputs(node)
         for topic in (*TOPICS.values(), *LIVE_TOPICS.values()):
             if topic.name == CLOCK or (topic.name.startswith("/tf") and not settings.publish_tf):
@@ -102,10 +103,14 @@ class Simulator(Program):
         self._events_of = ""
         self._twins = TwinWatch(node, STATE_TOPICS, self.log)
         self._naming = False
-        self._model = models.names()[0]
+        self._look = 0.0
+        self._model = settings.model or models.names()[0]
+        if self._model not in models.names():
+            known = ", ".join(models.names())
+            raise ValueError(f"model must be one of {known}, got {self._model!r}")
         if settings.scenario:
             # A mistake in the scenario is reported before kernels are compiled.
-            scenario = loading.read(settings.scenario, "", settings.scenario_dirs)
+            scenario = loading.read(settings.scenario, "", settings.scenario_dirs, settings.model)
             self._model = scenario.model.model
 
     def _open(self, topic: Topic) -> None:
@@ -138,9 +143,12 @@ class Simulator(Program):
 
     def work(self) -> float:
         """Do what is due; returns the wall time until which nothing else is."""
-        self._guard.look()
-        self.core.twins = self._twins.look()
-        self._begin_first()
+        now = time.monotonic()
+        if now >= self._look:
+            self._look = now + LOOK_EVERY
+            self._guard.look()
+            self.core.twins = self._twins.look()
+            self._begin_first()
         while self._loads and self._loads[0][0].done():
             future, begin = self._loads.pop(0)
             error = future.exception()
@@ -185,6 +193,7 @@ class Simulator(Program):
 
     def close(self) -> None:
         """End the run, close the recording, wait until everything has arrived."""
+        self._waiter.close()
         self.core.close()
         self.fault = self.core.recording.error
         self.outputs.settle(EXIT_WAIT)
@@ -197,7 +206,10 @@ class Simulator(Program):
 
         try:
             values = check_change(changes, "simulator")
-            if values.get("scenario") and not self._naming:
+            told = "scenario" in values and not self._naming
+            if told and not values["scenario"] and self.settings.scenario:
+                raise ValueError("scenario is what is loaded; ~/unload_world unloads it")
+            if told and values["scenario"]:
                 # Read it here, so that a refusal reaches the client.
                 self._from_parameter = self.core.prepare(str(values["scenario"]), "")
         except ValueError as error:

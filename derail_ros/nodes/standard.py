@@ -19,7 +19,6 @@ from derail_ros.recording.session import Prepared, Session
 from derail_ros.scenario import list_scenarios
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.markers import CAR_FLOOR, CAR_HEIGHT
-from msg_adapters.state import quaternions
 
 FEATURES = (
     "ENTITY_TAGS", "ENTITY_BOUNDS", "ENTITY_BOUNDS_BOX", "ENTITY_CATEGORIES",
@@ -38,6 +37,8 @@ COLLIDING_FEATURES = (
     "SIMULATION_STATE_PAUSE", "STEP_SIMULATION_SINGLE",
 )  # fmt: skip
 """Features of these services."""
+EVERYWHERE = 1e9
+"""No car is beyond, m: the products of larger bounds would be no numbers."""
 REFUSED = {
     "SpawnEntity": "the train is that of its scenario; load_world takes another one",
     "SpawnEntities": "the train is that of its scenario; load_world takes another one",
@@ -49,6 +50,10 @@ REFUSED = {
     "GetNamedPoseBounds": "there are no named poses",
 }
 """Service -> why it is refused."""
+
+
+class _Unsupported(Exception):
+    """A request for a feature that the simulator does not have."""
 
 
 class StandardInterface:
@@ -146,11 +151,11 @@ class StandardInterface:
         elif wanted == before and core.session is not None and not core.stepping:
             why = f"already {before.name.lower()}"
             response.result = self._result(kinds.ALREADY_IN_TARGET_STATE, why)
+        elif core.session is None and wanted != State.QUITTING:
+            response.result = self._result(kinds.INCORRECT_TRANSITION, NO_RUN)
         else:
             answer = core.set_state(wanted)
             code = kinds.STATE_TRANSITION_ERROR
-            if core.session is None:
-                code = kinds.INCORRECT_TRANSITION
             if wanted == State.QUITTING:
                 code = self._msg.Result.RESULT_OPERATION_FAILED
             response.result = self._ok if answer.success else self._result(code, answer.message)
@@ -247,7 +252,7 @@ class StandardInterface:
         except (Refusal, re.error) as error:
             response.result = self._failed(str(error))
             return []
-        except NotImplementedError as error:
+        except _Unsupported as error:
             response.result = self._unsupported(str(error))
             return []
         response.result, response.entities = self._ok, [f"car_{i + 1}" for i in cars]
@@ -276,9 +281,12 @@ class StandardInterface:
         kinds = self._msg.Bounds
         points = np.array([[p.x, p.y, p.z] for p in bounds.points]).reshape(-1, 3)
         if bounds.type not in (kinds.TYPE_BOX, kinds.TYPE_SPHERE):
-            raise NotImplementedError("bounds must be a box (1) or a sphere (3)")
+            raise _Unsupported("bounds must be a box (1) or a sphere (3)")
         if len(points) != 2 or not np.isfinite(points).all():
             raise Refusal(f"bounds must have 2 points of finite numbers, got {len(points)}")
+        if bounds.type == kinds.TYPE_SPHERE and points[1, 0] < 0.0:
+            raise Refusal(f"the radius of bounds must be from 0 up, got {points[1, 0]:g}")
+        points = np.clip(points, -EVERYWHERE, EVERYWHERE)
         x, y, z, yaw = session.sample.pose[i, [0, 1, 2, 5]]
         turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         half = 0.5 * np.array([car.length, car.width])
@@ -305,7 +313,7 @@ class StandardInterface:
         stamp = divmod(session.stamp, NANOSECONDS)
         state.header.stamp.sec, state.header.stamp.nanosec = stamp
         pose = state.pose.position, state.pose.orientation
-        values = [sample.pose[i, :3], quaternions(sample.pose[i : i + 1])[0]]
+        values = [sample.pose[i, :3], sample.quaternions[i]]
         pairs = [("xyz", pose[0]), ("xyzw", pose[1])]
         moving = (sample.velocity, state.twist), (sample.acceleration, state.acceleration)
         for rates, part in moving:

@@ -185,7 +185,7 @@ class _Reader:
             velocity=velocity,
             coupler_yaw=coupler_yaw,
             truck_on=truck_on,
-            coupled=self._coupled(got, events, time, n),
+            coupled=self._coupled(got, events, time, cars.cut),
             brake_force=brake,
             corner_force=corner,
             thinned=got.states.every,
@@ -202,16 +202,24 @@ class _Reader:
                     "the recording ends before the run: the outcome is that at"
                     f" {outcome.time:.2f} s, the last recorded moment"
                 )
+        if set(outcome.energy) == {"initial"} and np.any(energy_time >= outcome.time - 1e-9):
+            # Of the ledger, outcomes of version 1 hold how it began; its messages hold the rest.
+            outcome = replace(outcome, energy=run.ledger() | dict(outcome.energy))
         outcome = replace(
             outcome,
             train=cars.totals,
-            parted=outcome.parted or parted_couplings(run.events),
+            parted=outcome.parted or parted_couplings(run.events, cars.own),
         )
         return replace(run, outcome=outcome, warnings=tuple(bag.warnings))
 
     def _coupled(
-        self, got: RunMessages, events: tuple[Event, ...], time: F64, n: int
+        self,
+        got: RunMessages,
+        events: tuple[Event, ...],
+        time: F64,
+        cut: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
+        n = len(cut)
         if got.couplings.count:
             when, table = got.couplings.columns()
             if table.ndim == 2 and table.shape[1] == n - 1:
@@ -219,7 +227,7 @@ class _Reader:
                 return np.asarray(table[index], dtype=bool)
         elif n > 1:
             self.bag.warn("no coupler states: couplings are taken from the events")
-        return derive_couplings(events, time, n)
+        return derive_couplings(events, time, cut)
 
     def _count_missing(self, numbered: dict[int, Any], noun: str) -> None:
         """Warn of gaps in numbers that begin at 0."""

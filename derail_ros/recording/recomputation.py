@@ -95,8 +95,11 @@ def engine_command(entry: Mapping[str, Any]) -> Command:
     return Command(entry["command"], arguments, int(entry["step"]), float(entry["time"]))
 
 
-def _apply(simulation: Simulation, command: Command) -> None:
-    """Apply a command at its step."""
+def _apply(simulation: Simulation, command: Command, by_time: bool) -> None:
+    """Apply a command at its step, or at its time."""
+    if by_time:
+        simulation.advance_to(command.time)
+        command = replace(command, step=simulation.step_count)
     if command.name == "inject_rail_break" and set(command.arguments) != {"coordinate", "car"}:
         # As a client requested it: the engine finds the place.
         simulation.advance_steps(command.step - simulation.step_count)
@@ -105,8 +108,12 @@ def _apply(simulation: Simulation, command: Command) -> None:
         simulation.apply(command)
 
 
-def recompute_run(entry: RunEntry, recorded: RunMessages | None = None) -> Recomputed:
+def recompute_run(
+    entry: RunEntry, recorded: RunMessages | None = None, by_time: bool = False
+) -> Recomputed:
     """Compute a run again and compare it with its recording.
+
+    With ``by_time`` commands are given at their times, for another engine takes other steps.
 
     Raises
     ------
@@ -128,9 +135,11 @@ def recompute_run(entry: RunEntry, recorded: RunMessages | None = None) -> Recom
     differences: list[str] = []
     try:
         for command in commands:
-            _apply(simulation, command)
+            _apply(simulation, command, by_time)
         if by_itself:
             simulation.run()
+        elif by_time and entry.time:
+            simulation.advance_to(entry.time)
         else:
             simulation.advance_steps(steps - simulation.step_count)
     except SimulationError as error:
@@ -216,16 +225,19 @@ def recompute(
     """Compute all runs of a manifest again and compare them with their recordings."""
     return [
         recompute_run(
-            entry, None if recorded is None else recorded.get(entry.run_id, RunMessages())
+            entry,
+            None if recorded is None else recorded.get(entry.run_id, RunMessages()),
+            _of_another_engine(entry, manifest),
         )
         for entry in manifest.runs
     ]
 
 
+def _of_another_engine(run: RunEntry, manifest: Manifest) -> bool:
+    software = manifest.software.get("engine_hash", "")
+    return (run.engine_hash or software) not in ("", models.engine_hash(run.model))
+
+
 def engine_differs(manifest: Manifest) -> bool:
     """Whether another version of the engine computed the runs."""
-    software = manifest.software.get("engine_hash", "")
-    return any(
-        (run.engine_hash or software) not in ("", models.engine_hash(run.model))
-        for run in manifest.runs
-    )
+    return any(_of_another_engine(run, manifest) for run in manifest.runs)

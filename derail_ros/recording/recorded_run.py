@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from derail_ros.vocabulary.events import Collision, Event
 from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.site import SiteParams
 from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals
+from msg_adapters.reports import CUT
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -35,6 +38,7 @@ class Cars:
     angle_limit : (N-1,) relative angle at which a coupling parts, rad
     represents : (N,) cars that a body stands for
     totals : of the train; without loads, empties and locomotives in older recordings
+    cut : (N,) number of its cut of standing cars, from 1; 0 for the train's own, which come first
     """
 
     name: tuple[str, ...]
@@ -49,7 +53,8 @@ class Cars:
     coupler_kind: tuple[tuple[str, str], ...]
     angle_limit: F64
     represents: Int
-    totals: TrainTotals = TrainTotals()
+    totals: TrainTotals
+    cut: Int
 
     @classmethod
     def of_message(cls, m: Any) -> Cars:
@@ -58,11 +63,13 @@ class Cars:
         coupler = np.stack([m.coupler_length_front, m.coupler_length_rear], axis=-1)
         told = {q.key: np.array(q.values) for q in m.more}
         length = told.get("length_over_couplers_m", 2.0 * pivot + coupler.sum(axis=-1))
+        cut = told.get(CUT, np.zeros(len(pivot))).astype(np.int64)
+        own = cut == 0
         totals = TrainTotals(
-            int(np.sum(m.represents_cars)),
-            **{key: int(told[key].sum()) for key in TRAIN_COUNTS if key in told},
-            length=math.fsum(length),
-            mass=math.fsum(m.mass),
+            int(np.array(m.represents_cars)[own].sum()),
+            **{key: int(told[key][own].sum()) for key in TRAIN_COUNTS if key in told},
+            length=math.fsum(length[own]),
+            mass=math.fsum(np.array(m.mass)[own]),
         )
         return cls(
             name=tuple(m.car_name),
@@ -78,10 +85,16 @@ class Cars:
             angle_limit=np.array(m.coupling_angle_limit),
             represents=np.array(m.represents_cars, dtype=np.int64),
             totals=totals,
+            cut=cut,
         )
 
     def __len__(self) -> int:
         return len(self.mass)
+
+    @property
+    def own(self) -> int:
+        """Number of the train's own bodies."""
+        return int((self.cut == 0).sum())
 
     @property
     def real(self) -> Bool:
@@ -233,6 +246,18 @@ class RecordedRun:
         """Number of bodies."""
         return len(self.cars)
 
+    @cached_property
+    def site(self) -> SiteParams:
+        """The place of its scenario."""
+        from derail_ros.scenario.schema import Ground, Site
+        from derail_ros.scenario.site import site_of
+
+        given = self.scenario.get("site")
+        if given is None:
+            return SiteParams()
+        ground = Ground.model_validate(self.scenario.get("ground", {}))
+        return site_of(Site.model_validate(given), ground)
+
     @property
     def plane(self) -> F64:
         """(T, N, 3) x, y (m), yaw (rad): the poses seen from above."""
@@ -247,6 +272,11 @@ class RecordedRun:
     def derailed(self) -> Bool:
         """(T, N) a truck is off the rails."""
         return np.asarray(~self.truck_on.all(axis=-1))
+
+    @property
+    def own_coupled(self) -> Bool:
+        """(T, n - 1) couplings of the train's own cars that hold."""
+        return self.coupled[:, : max(self.cars.own - 1, 0)]
 
     def at(self, time: float) -> int:
         """Index of the last state at or before a time (s)."""
@@ -268,7 +298,7 @@ class RecordedRun:
         """(N,) largest corner force on each car up to a time (s), N."""
         peak = np.zeros(self.n)
         for c in self.collisions:
-            if c.peak_time <= time + 1e-9:
+            if c.peak_time <= time + 1e-9 and not c.object:
                 for car in (c.car_a, c.car_b):
                     if car:
                         peak[car - 1] = max(peak[car - 1], c.peak_force)

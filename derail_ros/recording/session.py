@@ -42,6 +42,8 @@ OUTCOME_EVERY = 1.0
 """Simulation time between two outcomes, s."""
 GRAIN = 1e-9
 """Times closer than this are the same, s."""
+EASY = 0.25
+"""A tick that takes less than this share of the time there is goes in one call of the engine."""
 
 
 class Prepared:
@@ -53,7 +55,7 @@ class Prepared:
     yaml, resolved : the scenario with all defaults filled in, as text and as plain data
     files : what the scenario was read from: name -> content
     simulation : at its start, never advanced: runs are copies of it
-    warnings : what of it is hardly meant
+    warnings : values of it that are possible but unlikely
     car_types : type of rolling stock of each car, "" where it was given by its numbers
     marker_pieces : serialised markers, kept from run to run
     kept : what else takes long and is the same in each run
@@ -105,10 +107,12 @@ class Live(Protocol):
     Attributes
     ----------
     topics : topics of the messages of each tick
+    measured : topic -> last message of a sensor
     due : run time of the next measurement of the sensors, s; infinite without sensors
     """
 
     topics: Sequence[str]
+    measured: dict[str, bytes]
     due: float
 
     def begin(self) -> list[tuple[str, bytes]]:
@@ -165,6 +169,8 @@ class Session:
         self.car_peak: NDArray[np.float64] = np.zeros(len(self.params.cars))
         self.refused: list[dict[str, Any]] = []
         self.refused_unlisted = 0
+        # Computing time of the last tick, and of the present one so far, s.
+        self._last_took, self._took = math.inf, 0.0
         self._kind = kind
         self._emit = emit
         self._record_markers = record_markers
@@ -237,11 +243,12 @@ class Session:
         self._breaks = [(float(s), 0.0) for s in self.simulation.rail_breaks]
         self._publish_track(0.0)
         self._publish_event(
-            Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{len(params.cars)} cars")
+            Event(self._kind, 0.0, 0, cause=prepared.name, after=f"{params.n_train} cars")
         )
         if self._live is not None:
             self._send_live(self.context.base, self._live.begin())
         self._publish_tick(self.sample, reset=True)
+        self._measure(0.0)
         self.announced = True
 
     def _publish_track(self, time: float) -> None:
@@ -250,7 +257,9 @@ class Session:
             self.simulation.track, self._line, self._breaks, self.context, time
         )
         self._publish("track", message, stamp)
-        self._publish("track_markers", track_markers(message, self.context, time), stamp)
+        site = self.params.site.shapes(self.simulation.track)
+        markers = track_markers(message, self.context, time, site)
+        self._publish("track_markers", markers, stamp)
 
     def _publish_event(self, event: Event) -> None:
         message = reports.train_event(event, len(self.event_messages), self.context)
@@ -341,7 +350,7 @@ class Session:
         )
 
     def present(self, later: int = 0) -> list[tuple[str, bytes]]:
-        """Topic name and CDR bytes of the state messages of the last tick, for who comes late.
+        """Topic name and CDR bytes of the state messages of the last tick, for late subscribers.
 
         Frames and the like bear a time that is ``later`` (ns) than the tick's.
         """
@@ -349,12 +358,18 @@ class Session:
         if self._live is not None:
             moment = self.sample.time + later / NANOSECONDS
             messages += self._live.tick(dataclasses.replace(self.sample, time=moment))
+            messages += self._live.measured.items()
         return messages
 
     @property
     def state_topics(self) -> tuple[str, ...]:
         """Topics of :meth:`present`."""
         return (*STATE_TOPICS, *(() if self._live is None else self._live.topics))
+
+    @property
+    def sensor_topics(self) -> tuple[str, ...]:
+        """Topics of the sensors, whose last messages :meth:`present` has too."""
+        return () if self._live is None else tuple(self._live.measured)
 
     def markers(self, *, reset: bool = False) -> bytes:
         """``MarkerArray`` of the last tick; ``reset`` clears what was shown before."""
@@ -381,22 +396,25 @@ class Session:
         simulation = self.simulation
         target = (self.tick + 1) / self.rates.state
         try:
-            if math.isinf(budget):
+            began = time.perf_counter()
+            unseen = self._live is None or self._live.due > target
+            if math.isinf(budget) or (unseen and self._last_took + self._took < EASY * budget):
                 simulation.advance_to(target)
             else:
-                end = time.perf_counter() + budget
                 self._measure(target)  # what was due in the last step, after the last tick
                 while simulation.time < target and not simulation.ended:
                     simulation.advance_steps(1)
                     self._measure(target)
-                    if time.perf_counter() >= end:
+                    if time.perf_counter() >= began + budget:
                         break
+            self._took += time.perf_counter() - began
             if simulation.time < target and not simulation.ended:
                 return False
             sample = simulation.sample(target)
         except SimulationError as error:
             self.fail(error)
             raise
+        self._last_took, self._took = self._took, 0.0
         self.tick += 1
         if sample.time != target:
             # The state after the end is that at the end.

@@ -34,7 +34,7 @@ HARD = 1.0e6
 
 OF_RECORDINGS: dict[str, tuple[str, Callable[[RecordedRun], float]]] = {
     "collisions": ("collisions", lambda run: len(run.collisions)),
-    "couplings_parted": ("couplings parted", lambda run: int((~run.coupled[-1]).sum())),
+    "couplings_parted": ("couplings parted", lambda run: int((~run.own_coupled[-1]).sum())),
     "initial_speed_m_s": ("speed at the start (m/s)", lambda run: run.initial_speed),
 }
 """What is compared beside the measures of the outcome: key -> words, value."""

@@ -229,16 +229,17 @@ def site(scene: Scene, margin: float = 7.0, reach: float = 40.0, cars: int = 8) 
     margin, reach : around the cars, and how far a break may be from them, m
     cars : how many of the first cars are shown if none derailed
     """
-    shown = scene.derailed & scene.real
+    astray = scene.derailed & scene.real
+    shown = astray & scene.own
     if not shown.any():
         shown = scene.real & (np.arange(len(shown)) < cars)
     corners = scene.corners()
-    points = corners[shown].reshape(-1, 2)
+    points = corners[shown | astray].reshape(-1, 2)
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     places = scene.breaks[:, :2]
     near = places[((places > low) & (places < high)).all(axis=1)]
     k = int(np.flatnonzero(shown)[-1]) + 1
-    if k < len(shown) and scene.real[k]:
+    if k < len(shown) and scene.real[k] and scene.own[k]:
         points = np.concatenate([points, corners[k, :2], scene.pose[k : k + 1, :2]])
     return window_of(np.concatenate([points, near]), margin)
 
@@ -314,22 +315,76 @@ def scale_inside(axes: Axes, window: Window, share: float, scale: float = 1.0) -
 GAUGE = 1.435
 
 
-def draw_track(axes: Axes, scene: Scene, window: Window, points_per_metre: float) -> None:
-    """Rails, ties where they can be seen, and breaks."""
-    line = scene.track
+ZONE_FILL = "#efe6d2"
+FIXED_FILL = "#6b6259"
+AREA_LINE = "#3a7d44"
+
+
+def draw_site(axes: Axes, scene: Scene, window: Window) -> None:
+    """Zones of the ground, areas, and fixed bodies, with their names where they can be seen."""
+    for shape in scene.site:
+        x, y = shape.points.T
+        look: dict[str, Any] = {"color": AREA_LINE, "lw": 1.2, "ls": (0, (5, 2)), "zorder": 0.4}
+        if shape.role == "track":
+            look = {"color": FAINT, "lw": 1.1, "zorder": 1}
+            for line in beside(shape.points, (-0.5 * GAUGE, 0.5 * GAUGE)):
+                axes.plot(*line.T, **look)
+        elif shape.role == "zone":
+            axes.fill(x, y, facecolor=ZONE_FILL, edgecolor="#c9b88f", lw=0.8, zorder=0.2)
+            look["color"] = "#7a6a3f"
+        elif shape.role == "fixed":
+            look = {"color": FIXED_FILL, "lw": 2.4, "zorder": 3.0, "solid_capstyle": "butt"}
+            if shape.closed:
+                axes.fill(x, y, facecolor=FIXED_FILL, edgecolor=INK, lw=0.6, zorder=3.0)
+            else:
+                axes.plot(x, y, **look)
+        else:
+            ends = np.append(x, x[0]), np.append(y, y[0])
+            axes.plot(*(ends if shape.closed else (x, y)), **look)
+        kept = np.array([within(window, *p) for p in shape.points])
+        seen = shape.points[kept] if kept.any() else _seen(shape.points, window)
+        if len(seen):
+            at = tuple(seen.mean(axis=0)) if shape.closed else tuple(seen[len(seen) // 2])
+            if shape.role == "track":
+                at = tuple(seen[0])
+            across = (at[0] - window[0]) / (window[1] - window[0])
+            side = "left" if across < 0.1 else "right" if across > 0.9 else "center"
+            above = (0.0, 9.0) if shape.role == "track" else (0.0, 0.0)  # cars stand on it
+            label(axes, shape.name, at, above, color=look["color"], size=7.5, ha=side)
+
+
+def beside(line: NDArray, offsets: Sequence[float]) -> list[NDArray]:
+    """Lines (M, 2) that run so far to the left of a line, m."""
     tangent = np.gradient(line, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-    for side in (-0.5, 0.5):
-        rail = line + side * GAUGE * normal
+    return [line + offset * normal for offset in offsets]
+
+
+def _seen(points: NDArray, window: Window) -> NDArray:
+    """Places on the edges of an outline that lie in the window."""
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    dense = np.concatenate(
+        [a + share * (b - a) for a, b in zip(points, np.roll(points, -1, axis=0), strict=True)]
+    )
+    return dense[[within(window, *p) for p in dense]]
+
+
+def draw_track(axes: Axes, scene: Scene, window: Window, points_per_metre: float) -> None:
+    """Rails, ties where they can be seen, and breaks; what stands beside them."""
+    draw_site(axes, scene, window)
+    line = scene.track
+    for rail in beside(line, (-0.5 * GAUGE, 0.5 * GAUGE)):
         axes.plot(rail[:, 0], rail[:, 1], color=RAIL, lw=1.1, zorder=1)
     if points_per_metre > 4.0:
         step = np.linalg.norm(np.diff(line, axis=0), axis=1)
         arc = np.concatenate([[0.0], np.cumsum(step)])
         at = np.arange(0.0, arc[-1], 1.2)
-        middle = np.stack([np.interp(at, arc, line[:, k]) for k in (0, 1)], axis=-1)
-        across = np.stack([np.interp(at, arc, normal[:, k]) for k in (0, 1)], axis=-1)
-        ties = np.stack([middle - 1.25 * across, middle + 1.25 * across], axis=1)
+        ends = [
+            np.stack([np.interp(at, arc, edge[:, k]) for k in (0, 1)], axis=-1)
+            for edge in beside(line, (-1.25, 1.25))
+        ]
+        ties = np.stack(ends, axis=1)
         axes.add_collection(LineCollection(ties, colors="#d9d4cd", linewidths=1.4, zorder=0.5))
     for x, y, heading in scene.breaks:
         n = np.array([-math.sin(heading), math.cos(heading)])
@@ -357,20 +412,24 @@ def state_handles() -> list[Patch]:
 def draw_bodies(
     axes: Axes, scene: Scene, lw: float, zorder: float = 4.0, with_hatch: bool = True
 ) -> list[PolyCollection]:
-    """The cars by their state; no body that stands for many. One collection a state."""
-    return [
-        axes.add_collection(
-            PolyCollection(
-                list(scene.outlines()[scene.real & (scene.state == k)]),
-                facecolors=fill,
-                edgecolors=INK,
-                linewidths=lw,
-                hatch=(hatch or None) if with_hatch else None,
-                zorder=zorder,
-            )
+    """A wide edge around those that are not of the train, then the cars by their state.
+
+    No body that stands for many.
+    """
+    edge = {"edgecolors": GREEN, "linewidths": 3.5 * lw, "facecolors": "none"}
+    around = PolyCollection(list(scene.outlines()[~scene.own]), zorder=zorder - 0.1, **edge)
+    bodies = [
+        PolyCollection(
+            list(scene.outlines()[scene.real & (scene.state == k)]),
+            facecolors=fill,
+            edgecolors=INK,
+            linewidths=lw,
+            hatch=(hatch or None) if with_hatch else None,
+            zorder=zorder,
         )
         for k, (_, fill, hatch) in enumerate(STATES)
     ]
+    return [axes.add_collection(body) for body in (around, *bodies)]
 
 
 def draw_fronts(axes: Axes, scene: Scene) -> PolyCollection:
@@ -381,8 +440,9 @@ def draw_fronts(axes: Axes, scene: Scene) -> PolyCollection:
 
 def move(bodies: Sequence[PolyCollection], fronts: PolyCollection, scene: Scene) -> None:
     """Move cars that :func:`draw_bodies` and :func:`draw_fronts` have drawn."""
-    for k, body in enumerate(bodies):
+    for k, body in enumerate(bodies[1:]):
         body.set_verts(list(scene.outlines()[scene.real & (scene.state == k)]))
+    bodies[0].set_verts(list(scene.outlines()[~scene.own]))
     fronts.set_verts(list(scene.fronts()[scene.real]))
 
 
@@ -466,14 +526,14 @@ def draw_couplers(axes: Axes, scene: Scene, points_per_metre: float) -> None:
         if scene.coupled[i]:
             x, y = faces[i, 1] if scene.real[i] else faces[i + 1, 0]
             axes.plot(x, y, "o", ms=dot, mfc=INK, mec="white", mew=0.4, zorder=7)
-        else:
+        elif scene.parted[i]:
             for x, y in (faces[i, 1], faces[i + 1, 0]):
                 axes.plot(x, y, "x", ms=dot + 1.0, mec=VERMILION, mew=1.5, zorder=8)
 
 
 def draw_box(axes: Axes, scene: Scene) -> None:
     """The box of the derailed cars with its dimensions."""
-    derailed = scene.derailed & scene.real
+    derailed = scene.derailed & scene.real & scene.own
     if not derailed.any() or not scene.straight:
         return
     points = scene.corners()[derailed].reshape(-1, 2)
@@ -500,9 +560,13 @@ def draw_key(
     handles: list[Any] = []
     one = len(scenes) == 1
     for k, (text, fill, hatch) in enumerate(STATES):
-        count = sum(int((s.real & (s.state == k)).sum()) for s in scenes)
+        count = sum(int((s.real & s.own & (s.state == k)).sum()) for s in scenes)
         if count:
             handles.append(hatched(f"{text} ({count})" if one else text, fill, hatch))
+    standing = sum(int((~s.own).sum()) for s in scenes)
+    if standing:
+        text = f"not of the train ({standing})" if one else "not of the train"
+        handles.append(hatched(text, "white", ec=GREEN, lw=2.5))
     bodies = [
         int(n)
         for s in scenes
@@ -515,7 +579,7 @@ def draw_key(
     if any(s.coupled.any() for s in scenes):
         look: dict[str, Any] = {"ls": "-", "color": INK, "mec": "white", "ms": 4.5}
         handles.append(mark("coupled", marker="o", **look))
-    if not all(s.coupled.all() for s in scenes):
+    if any(s.parted.any() for s in scenes):
         handles.append(mark("parted", marker="x", mec=VERMILION, mew=1.5, ms=5.5))
     if any(np.any(s.peak_force >= RUPTURE_FORCE) for s in scenes):
         handles.append(mark("struck above 5 MN, two: 10 MN", **DIAMOND))

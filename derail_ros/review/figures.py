@@ -81,7 +81,8 @@ EVERY = (1, 2, 5, 10, 20, 50, 100)
 def _draw_strip(
     axes: Axes, scene: Scene, window: Window, everything: Window, inches: float
 ) -> None:
-    axes.plot(scene.track[:, 0], scene.track[:, 1], color=RAIL, lw=0.8, zorder=1)
+    for line in (scene.track, *(part.points for part in scene.site if part.role == "track")):
+        axes.plot(line[:, 0], line[:, 1], color=RAIL, lw=0.8, zorder=1)
     drawing.draw_bodies(axes, scene, 0.4, zorder=3, with_hatch=False)
     drawing.draw_stand_ins(axes, scene, 0.6, 2)
     x0, x1, y0, y1 = window
@@ -124,7 +125,7 @@ def peak_forces(outcome: Outcome, title: str = "") -> Figure:
     ``title`` is what ran.
     """
     force = np.nan_to_num(outcome.car_peak_force) * 1e-6
-    derailed = outcome.derailed_cars
+    derailed = (*outcome.derailed_cars, *outcome.standing.derailed)
     n = len(force)
     struck = np.flatnonzero(force > 0.0)
     involved = [*(struck + 1).tolist(), *derailed] or [1, min(n, 10)]
@@ -170,6 +171,10 @@ def peak_forces(outcome: Outcome, title: str = "") -> Figure:
     axes.set_xticks([c for c in numbers if c % every == 0])
     axes.set_xlabel("car")
     axes.set_ylabel("largest force at a corner, MN")
+    own = n - outcome.standing.cars
+    if last > own:
+        axes.axvspan(own + 0.5, last + 0.7, color=drawing.GREEN, alpha=0.12, zorder=0)
+        handles.append(hatched("not of the train", "#e0f1ec", "", lw=0.0))
     if derailed:
         square: dict[str, Any] = {"ls": "", "marker": "s", "ms": 5, "color": INK}
         axes.plot(list(derailed), np.zeros(len(derailed)), clip_on=False, zorder=6, **square)
@@ -184,7 +189,7 @@ def peak_forces(outcome: Outcome, title: str = "") -> Figure:
     else:
         middle = {"transform": axes.transAxes, "ha": "center"}
         axes.text(0.5, 0.5, "no collisions", size=12, color=FAINT, **middle)
-    drawing.legend_above(axes, handles, 4)
+    drawing.legend_above(axes, handles, 5)
     heading = f"{title}: peak force on each car" if title else "Peak force on each car"
     drawing.heading(figure, heading, note, left=0.75)
     return figure
@@ -198,8 +203,10 @@ DRAFT, BUFF = (BLUE, "largest draft (tension)"), ("#e69f00", "largest buff (comp
 @styled
 def in_train_forces(outcome: Outcome, title: str = "") -> Figure:
     """Draw the largest draft and buff force of each coupling over the train."""
-    draft = np.nan_to_num(outcome.couplings["max_draft_N"]) * 1e-6
-    buff = np.nan_to_num(outcome.couplings["max_buff_N"]) * 1e-6
+    draft, buff = (
+        np.nan_to_num(outcome.of_train(outcome.couplings[f"max_{which}_N"])) * 1e-6
+        for which in ("draft", "buff")
+    )
     numbers = np.arange(1, len(draft) + 1)
     figure = drawing.sheet(WIDTH, 4.3)
     axes = drawing.place(figure, 0.75, 0.95, WIDTH - 1.1, 2.75)

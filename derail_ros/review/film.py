@@ -6,7 +6,7 @@ import logging
 import math
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from derail_ros.vocabulary import words
 from derail_ros.vocabulary.outcome import derailed
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from numpy.typing import NDArray
 
     from derail_ros.recording.recorded_run import RecordedRun
@@ -92,7 +93,7 @@ def times(
     Raises
     ------
     FilmError
-        If there is none of them, or far too many.
+        If there are none, or too many.
     """
     if not math.isfinite(rate) or rate <= 0.0:
         raise FilmError(f"rate: must be above zero, got {rate:g}")
@@ -114,7 +115,14 @@ class Stage:
     ----------
     run : what is shown
     width : pixels
+
+    Attributes
+    ----------
+    moving : what changes from picture to picture, from below to above; empty: everything
     """
+
+    moving: Sequence[Artist] = ()
+    _still: Any = None
 
     def __init__(self, run: RecordedRun, width: int) -> None:
         self.run = run
@@ -172,6 +180,8 @@ class Stage:
             drawing.label(axes, "", (0.0, 0.0), (0, 9 * scale), zorder=13, **look)
             for _ in range(4)
         ]
+        self.moving = (*self.bodies, self.fronts, *self.numbers, self.stars, *self.forces,
+                       self.clock, self.facts)  # fmt: skip
 
     def show(self, time: float) -> None:
         """Show a time (s)."""
@@ -217,10 +227,20 @@ class Stage:
         self.facts.set_text(line)
 
     def picture(self, time: float) -> Image.Image:
-        """The picture at a time (s)."""
+        """The picture at a time (s). What does not move is drawn once."""
         self.show(time)
         canvas: Any = self.figure.canvas
-        canvas.draw()
+        if self._still is None:
+            for artist in self.moving:
+                artist.set_animated(True)
+            canvas.draw()
+            self._still = canvas.copy_from_bbox(self.figure.bbox)
+        elif self.moving:
+            canvas.restore_region(self._still)
+        else:
+            canvas.draw()
+        for artist in self.moving:
+            self.figure.draw_artist(artist)
         return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
@@ -233,6 +253,7 @@ def film(
     start: float | None = None,
     end: float | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    stage: type[Stage] = Stage,
 ) -> int:
     """Make a film; returns its number of pictures.
 
@@ -242,6 +263,7 @@ def film(
     fps, rate, width : see :class:`Kind`; by default those of :data:`KINDS`
     start, end : recorded time that is shown, s
     progress : called with the number of pictures that are done, and of all
+    stage : what draws
 
     Raises
     ------
@@ -268,11 +290,19 @@ def film(
     write = _gif if path.suffix.lower() == ".gif" else _mp4
     try:
         with matplotlib.rc_context(STYLE | {"path.simplify": True}):
-            write(Stage(run, width or kind.width), counted(), temporary, fps)
+            write(stage(run, width or kind.width), counted(), temporary, fps)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
     return len(moments)
+
+
+def still(
+    run: RecordedRun, path: Path, width: int | None, time: float, stage: type[Stage] = Stage
+) -> None:
+    """Write the picture of a time (s) as PNG; ``width`` in pixels."""
+    with matplotlib.rc_context(STYLE | {"path.simplify": True}):
+        stage(run, width or KINDS[".mp4"].width).picture(time).save(path)
 
 
 def _mp4(stage: Stage, moments: Iterator[float], path: Path, fps: int) -> None:

@@ -15,6 +15,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -250,6 +251,15 @@ def consist_rows(run: RecordedRun) -> Row:
     }
 
 
+def file_rows(run: RecordedRun) -> Row:
+    """What the scenario was made from: files by name."""
+    return {
+        "name": list(run.files),
+        "bytes": [len(data) for data in run.files.values()],
+        "sha256": [sha256(data).hexdigest() for data in run.files.values()],
+    }
+
+
 def export(run: RecordedRun, folder: Path, form: str = "csv") -> dict[str, int]:
     """Write the tables of a run; returns their files and numbers of rows.
 
@@ -278,6 +288,7 @@ def export(run: RecordedRun, folder: Path, form: str = "csv") -> dict[str, int]:
             writers[name].write(columns)
             counts[writers[name].path.name] += rows
 
+        put("files", file_rows(run))
         put("consist", consist_rows(run))
         put("events", event_rows(run))
         put("collisions", collision_rows(run))

@@ -1,27 +1,21 @@
 """The replay page: a run as one HTML file that needs no network.
 
-The page is put together from ``replay_page.html``, ``.css`` and ``.js``. Its content policy
-allows just this script and this style, by their hashes, and nothing from anywhere else.
-Strings of the recording reach it escaped, and the script sets them as text only.
+The page is put together from ``replay_page.html``, ``.css``, ``scene.js`` and ``replay_page.js``
+(:mod:`derail_ros.review.web`).
 """
 
 from __future__ import annotations
 
 import base64
-import hashlib
 import html
-import json
-import math
 import zlib
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from derail_ros.review import drawing, summary
+from derail_ros.review import drawing, summary, web
 from derail_ros.review.plots import energy_parts, some
 from derail_ros.review.scene import Scene, final_scene
 from derail_ros.vocabulary.events import EventKind
@@ -60,56 +54,28 @@ ENERGY_PARTS = {
 
 def page(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     """The replay page of a run as HTML."""
-    template, style, script = (_text(f"replay_page.{kind}") for kind in ("html", "css", "js"))
-    facts = summary.findings(run) if facts is None else facts
     outcome, stopped = summary.headline(run)
-    policy = "; ".join(
-        (
-            "default-src 'none'",
-            f"script-src '{_hash(script)}'",
-            f"style-src '{_hash(style)}'",
-            "img-src data:",
-            "base-uri 'none'",
-            "form-action 'none'",
-        )
+    facts = summary.findings(run) if facts is None else facts
+    template, style, script = (
+        web.text("derail_ros.review", f"replay_page.{kind}") for kind in ("html", "css", "js")
     )
-    parts = {
-        "CSP": policy,
-        "TITLE": html.escape(run.title),
-        "OUTCOME": html.escape(outcome),
-        "STOPPED": html.escape(stopped),
-        "SOURCE": html.escape(_source(run)),
-        "WARNINGS": _warnings(run),
-        "DATA": script_json(data(run, facts)),
-        "CSS": style,
-        "JS": script,
-    }
-    # One pass, so that what a recording says is never taken for a place holder.
-    pieces = template.split("@")
-    return "".join(piece if k % 2 == 0 else parts[piece] for k, piece in enumerate(pieces))
+    return web.assemble(
+        template,
+        style,
+        web.scene_script(script),
+        TITLE=html.escape(run.title),
+        OUTCOME=html.escape(outcome),
+        STOPPED=html.escape(stopped),
+        SOURCE=html.escape(_source(run)),
+        WARNINGS=_warnings(run),
+        DATA=web.script_json(data(run, facts)),
+    )
 
 
 def write(run: RecordedRun, path: Path, facts: dict[str, Any] | None = None) -> Path:
     """Write the replay page of a run."""
     path.write_text(page(run, facts), encoding="utf-8")
     return path
-
-
-def _text(name: str) -> str:
-    return resources.files("derail_ros.review").joinpath(name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    digest = hashlib.sha256(text.encode("utf-8")).digest()
-    return "sha256-" + base64.b64encode(digest).decode("ascii")
-
-
-def script_json(value: Any) -> str:
-    """JSON that cannot end the script element that it stands in."""
-    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    for letter in "<>&\u2028\u2029":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return text
 
 
 def _source(run: RecordedRun) -> str:
@@ -175,27 +141,13 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
     return {
         "parts": [head for head, _ in packed],
         "blob": base64.b64encode(blob).decode("ascii"),
-        "cars": [_car(run, i) for i in range(run.n)],
+        "cars": web.car_data(run.cars),
         "track": _track(run),
         "site": list(site(final_scene(run))),
+        "place": web.place_data(run.site.shapes(run.line)),
         "off": _off(run),
         "parted": _parted(run),
-        "contacts": [
-            {
-                "a": c.car_a,
-                "b": c.car_b,
-                "start": round(c.start, 6),
-                "end": None if math.isnan(c.end) else round(c.end, 6),
-                "peak": round(c.peak_force, 1),
-                "peakTime": round(c.peak_time, 6),
-                "closing": round(c.closing_speed, 4) if math.isfinite(c.closing_speed) else 0.0,
-                "x": round(c.x, 3),
-                "y": round(c.y, 3),
-                "angle": round(math.degrees(c.angle), 2) if math.isfinite(c.angle) else 0.0,
-                "touch": c.touch,
-            }
-            for c in run.collisions
-        ],
+        "contacts": [web.contact_data(c) for c in run.collisions],
         "timeline": [
             {
                 "time": round(e["time_s"], 6),
@@ -210,38 +162,9 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _car(run: RecordedRun, i: int) -> dict[str, Any]:
-    cars = run.cars
-    return {
-        "name": cars.name[i],
-        "kind": cars.kind[i],
-        "contents": cars.contents[i],
-        "mass": float(cars.mass[i]),
-        "length": float(cars.length[i]),
-        "width": float(cars.width[i]),
-        "pivot": float(cars.pivot[i]),
-        "coupler": [float(v) for v in cars.coupler[i]],
-        "couplers": list(cars.coupler_kind[i]),
-        "represents": int(cars.represents[i]),
-    }
-
-
 def _track(run: RecordedRun) -> dict[str, Any]:
-    line = run.line
-    low, high = run.pose[..., :2].min(axis=(0, 1)), run.pose[..., :2].max(axis=(0, 1))
-    if line.straight:
-        level = float(line.y[0]) if len(line.y) else 0.0
-        x = [float(low[0]) - 300.0, float(high[0]) + 400.0]
-        y = [level, level]
-    else:
-        # Finer than it was recorded, so that curves look like curves.
-        s = np.linspace(line.s[0], line.s[-1], min(4000, 4 * len(line.s)))
-        x, y = (CubicSpline(line.s, p)(s).round(3).tolist() for p in (line.x, line.y))
-    breaks = [
-        {"x": float(b[1]), "y": float(b[2]), "heading": float(b[3]), "time": float(b[4])}
-        for b in line.breaks
-    ]
-    return {"x": x, "y": y, "breaks": breaks}
+    low, high = run.pose[..., 0].min(), run.pose[..., 0].max()
+    return web.track_data(run.line, float(low) - 300.0, float(high) + 400.0)
 
 
 def site(scene: Scene) -> drawing.Window:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from derail_ros.recording.recorded_run import SampledLine
 from derail_ros.vocabulary.scene import Line, car_corners, scene_box
+from derail_ros.vocabulary.site import Shape
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun
@@ -50,7 +51,9 @@ class Scene:
     straight: bool = True  # the track is straight along +X, so that the box may be drawn
     title: str = ""
     subtitle: str = ""
+    site: tuple[Shape, ...] = ()  # what stands beside the track
     numbers: tuple[int, ...] = field(default=())  # car number of each body; 1, 2, ... by default
+    cut: tuple[int, ...] = field(default=())  # of each body, of standing cars; 0 by default
 
     def __post_init__(self) -> None:
         n = len(self.pose)
@@ -71,6 +74,8 @@ class Scene:
                 raise ValueError(f"{name}: must have shape {shape}")
         if not self.numbers:
             object.__setattr__(self, "numbers", tuple(range(1, n + 1)))
+        if not self.cut:
+            object.__setattr__(self, "cut", (0,) * n)
 
     @property
     def real(self) -> Bool:
@@ -81,6 +86,16 @@ class Scene:
     def derailed(self) -> Bool:
         """(N,) a truck of the car is off the rails."""
         return ~self.truck_on.all(axis=1)
+
+    @property
+    def own(self) -> Bool:
+        """(N,) the body is of the train, and none that stood on a second track."""
+        return np.array(self.cut) == 0
+
+    @property
+    def parted(self) -> Bool:
+        """(N-1,) a coupling has parted; there is none between a train and a cut."""
+        return ~self.coupled & (np.diff(self.cut) == 0)
 
     @property
     def state(self) -> Int:
@@ -98,7 +113,7 @@ class Scene:
     @property
     def travel(self) -> tuple[float, float]:
         """Direction of travel: that of the track where the derailed cars lie (or the train)."""
-        off = self.derailed & self.real
+        off = self.derailed & self.real & self.own
         middle = self.pose[off if off.any() else slice(None), :2].mean(axis=0)
         a, b = self.track[:-1], self.track[1:]
         along = b - a
@@ -156,8 +171,10 @@ def scene_from_simulation(
         outcome=simulation.outcome(),
         track=simulation.track,
         breaks=simulation.rail_breaks,
+        site=simulation.params.site.shapes(simulation.track),
         title=title,
         subtitle=subtitle,
+        cut=simulation.params.cut_numbers,
     )
 
 
@@ -171,8 +188,10 @@ def make_scene(
     outcome: Outcome | None = None,
     track: Line | None = None,
     breaks: Sequence[float] = (),
+    site: tuple[Shape, ...] = (),
     title: str = "",
     subtitle: str = "",
+    cut: tuple[int, ...] = (),
 ) -> Scene:
     """A scene from the cars of a run, a state and an outcome.
 
@@ -198,8 +217,10 @@ def make_scene(
         track=_track_near(line, pose),
         breaks=np.array([line.point(float(s))[:3] for s in breaks]).reshape(-1, 3),
         straight=line.straight,
+        site=site,
         title=title,
         subtitle=subtitle,
+        cut=cut,
         **box,
     )
 
@@ -211,7 +232,7 @@ def scene_at(run: RecordedRun, time: float, title: str = "", subtitle: str = "")
     if run.outcome.final and i == len(run.time) - 1:
         length, width = run.outcome.scene_length, run.outcome.scene_width
     else:
-        off = run.derailed[i] & run.cars.real
+        off = run.derailed[i] & run.cars.real & (run.cars.cut == 0)
         corners = car_corners(pose, run.cars.length, run.cars.width)[off]
         length, width, _ = scene_box(run.line, corners, pose[off, 0])
     return Scene(
@@ -230,8 +251,10 @@ def scene_at(run: RecordedRun, time: float, title: str = "", subtitle: str = "")
         scene_length=length,
         scene_width=width,
         straight=run.line.straight,
+        site=run.site.shapes(run.line),
         title=title,
         subtitle=subtitle,
+        cut=tuple(run.cars.cut.tolist()),
     )
 
 

@@ -7,6 +7,7 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import derail_ros
 from derail_ros.vocabulary import words
 from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.ledger import shares, stopped_by
+from derail_ros.vocabulary.limits import limits
 from derail_ros.vocabulary.measures import NUMERICS, outcome_record, shown_rows
 from derail_ros.vocabulary.status import AT_REST
 from derail_ros.vocabulary.words import capital, finite
@@ -232,10 +234,12 @@ def findings(run: RecordedRun) -> dict[str, Any]:
             "name": run.name,
             "title": run.title,
             "hash": run.scenario_hash,
+            "constants": run.scenario.get("constants") or "published",
             "model": run.model,
-            "cars": int(run.cars.represents.sum()),
+            "cars": run.cars.totals.cars,
             "bodies": run.n,
             "initial_speed_m_s": run.initial_speed,
+            "files": {name: sha256(data).hexdigest() for name, data in run.files.items()},
         },
         "outcome": outcome_record(run.outcome),
         "stopped_by": {
@@ -264,6 +268,8 @@ def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     if run.outcome.void:
         lines.append(NOT_VALID)
     lines += ["", *_outcome(run, facts["outcome"])]
+    for sentence in limits(run.outcome, run.line):
+        lines += _wrap(f"{capital(sentence)}.", 96)
 
     def section(title: str, rows: list[str]) -> None:
         lines.extend(["", title, "-" * len(title), *rows])
@@ -295,6 +301,11 @@ def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
             f"  {run.path}",
             f"  run {run.run_id}, {len(run.time)} states, {span}",
             f"  scenario {run.name} {run.scenario_hash}",
+            f"  constants {facts['scenario']['constants']}",
+            *(
+                f"  made from {name} sha256:{digest}"
+                for name, digest in facts["scenario"]["files"].items()
+            ),
             f"  computed by derail_ros {run.software}",
             *(f"  {title}: {value}" for title, value in numerics),
         ],
@@ -320,7 +331,7 @@ def _outcome(run: RecordedRun, record: dict[str, Any]) -> list[str]:
         rows.append(("brakes", "never applied"))
     rows += shown_rows(record, without=("rear_stop_m",))
     if o.rear_part_first_car:
-        # Without a parted coupling ahead of it there is no part that stands by itself.
+        # Only a parted coupling ahead makes it a part of its own.
         parted = not run.coupled[-1][: o.rear_part_first_car - 1].all()
         rest = " stands" if o.status == AT_REST else ""
         label = f"rear part{rest}" if parted else "still on the rails"

@@ -85,7 +85,8 @@ def _reason(error: dict[str, Any], path: Path, model: type[BaseModel]) -> str:
         hint = did_you_mean(value, _choices(context)) if isinstance(value, str) else ""
         return f"must be {context['expected']}, got {shown(value)}{hint}"
     if kind == "too_short":
-        return "must have at least one entry"
+        least = context["min_length"]
+        return f"must have at least {'one entry' if least == 1 else f'{least} entries'}"
     if kind == "too_long":
         return f"has more than {context['max_length']} entries"
     if kind == "string_too_long":

@@ -1,4 +1,4 @@
-"""Values that are possible and hardly meant: each is told in a sentence, none is refused."""
+"""Values that are possible but unlikely: a warning each, none is refused."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FASTEST = 200.0
 
 
 def doubts(resolved: Resolved) -> tuple[str, ...]:
-    """What is hardly meant in a scenario."""
+    """The unlikely values of a scenario, a sentence each."""
     return (*_cars(resolved), *_run(resolved))
 
 

@@ -66,8 +66,12 @@ def field_tables() -> str:
     """All fields with unit, default, range and meaning, as Markdown tables."""
     parts: list[str] = []
     todo: list[tuple[str, type[Section]]] = [("", ScenarioModel)]
+    told: dict[type[Section], str] = {}
     while todo:
         prefix, model = todo.pop(0)
+        if told.setdefault(model, prefix) != prefix:
+            parts.append(f"### `{prefix}`\n\nAs `{told[model]}`.")
+            continue
         title = f"`{prefix}`" if prefix else "Top level"
         rows = [f"### {title}", "", _summary(model), ""]
         rows += ["| field | unit | default | range | meaning |", "| --- | --- | --- | --- | --- |"]

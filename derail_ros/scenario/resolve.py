@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from derail_ros import models
@@ -21,12 +21,13 @@ from derail_ros.scenario.schema import (
     CarType,
     ConsistBlock,
     CouplerSpec,
-    Piece,
     ScenarioModel,
     Section,
     engine_default,
     to_engine,
 )
+from derail_ros.scenario.second_tracks import check_pieces, segments, standing_cuts
+from derail_ros.scenario.site import check_site, site_params
 from derail_ros.scenario.strict_yaml import Path
 from derail_ros.vocabulary.params import (
     GRAVITY,
@@ -46,8 +47,9 @@ from derail_ros.vocabulary.params import (
     IntegrationParams,
     LateralForce,
     Notch,
+    SecondTrack,
+    StandingCut,
     TrackParams,
-    TrackSegment,
     TractionParams,
     TrainParams,
     WeakCoupling,
@@ -164,17 +166,24 @@ class Block:
 class Resolved:
     """A scenario whose types are looked up and whose fields have been judged together.
 
-    ``entries`` are the blocks of each entry of the consist: one, or those of an articulated car.
+    ``entries`` are the blocks of each entry of the consist: one, or those of an articulated car;
+    ``cuts`` the same of each cut of standing cars.
     """
 
     model: ScenarioModel
     entries: tuple[tuple[Block, ...], ...]
     couplers: dict[str, CouplerType]
+    cuts: tuple[tuple[tuple[Block, ...], ...], ...] = ()
 
     @property
     def blocks(self) -> tuple[Block, ...]:
         """All blocks, from the first one back."""
         return tuple(block for entry in self.entries for block in entry)
+
+    @property
+    def cut_entries(self) -> tuple[tuple[Block, ...], ...]:
+        """The entries of all cuts, one after the other."""
+        return tuple(entry for cut in self.cuts for entry in cut)
 
     @property
     def n_cars(self) -> int:
@@ -221,9 +230,17 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
         _entry(block, ("train", "consist", i), model, stock, couplers)
         for i, block in enumerate(model.train.consist)
     )
-    used = {name for entry in entries for block in entry for name in (block.front, block.rear)}
+    cuts = tuple(
+        tuple(
+            _entry(block, ("site", "standing", j, "consist", i), model, stock, couplers)
+            for i, block in enumerate(cut.consist)
+        )
+        for j, cut in enumerate(model.site.standing if model.site else ())
+    )
+    every = (*entries, *(entry for cut in cuts for entry in cut))
+    used = {name for entry in every for block in entry for name in (block.front, block.rear)}
     kept = {name: couplers[name] for name in sorted(used)}
-    resolved = Resolved(model, entries, kept)
+    resolved = Resolved(model, entries, kept, cuts)
     _check_counts(resolved)
     _check_numbers(resolved)
     _check_brakes(resolved)
@@ -231,6 +248,8 @@ def resolve(model: ScenarioModel, stock: RollingStock) -> Resolved:
     _check_track(resolved)
     _check_along(resolved)
     _check_derails(resolved)
+    check_site(model)
+    _standing(resolved)
     return resolved
 
 
@@ -640,18 +659,9 @@ def _check_track(resolved: Resolved) -> None:
             if getattr(track, key) != 0.0:
                 raise Refusal(("track", key), "has no effect without track.alignment")
         return
-    for i, piece in enumerate(track.alignment):
-        path: Path = ("track", "alignment", i)
-        given = [key for key in type(piece).model_fields if getattr(piece, key) is not None]
-        if len(given) != 1:
-            reason = "must be exactly one of tangent, spiral and curve"
-            raise Refusal(path, f"{reason}, has {' and '.join(given) or 'none'}")
-        spiral = piece.spiral
-        if spiral and spiral.radius_start_m is None and spiral.radius_end_m is None:
-            reason = "is required, or radius_start_m: a spiral leads from or to a curve"
-            raise Refusal((*path, "spiral", "radius_end_m"), reason)
+    check_pieces(track.alignment, ("track", "alignment"))
     begin = track.start_coordinate_m
-    end = begin + sum(segment.length for segment in _segments(track.alignment))
+    end = begin + sum(segment.length for segment in segments(track.alignment))
     train = placed_bodies(resolved)
     centre = resolved.model.initiation.position_m
     front = centre + 0.5 * train[0][1].trucks
@@ -823,29 +833,6 @@ def _mode(instant: bool, traction_limited: bool) -> str:
     return "_".join(words) or "conventional"
 
 
-def _segments(alignment: tuple[Piece, ...]) -> Iterator[TrackSegment]:
-    for piece in alignment:
-        if piece.tangent:
-            yield TrackSegment(piece.tangent.length_m)
-        elif piece.curve:
-            kappa = _curvature(piece.curve.radius_m, piece.curve.turn)
-            yield TrackSegment(piece.curve.length_m, kappa, kappa)
-        elif piece.spiral:
-            spiral = piece.spiral
-            yield TrackSegment(
-                spiral.length_m,
-                _curvature(spiral.radius_start_m, spiral.turn),
-                _curvature(spiral.radius_end_m, spiral.turn),
-            )
-
-
-def _curvature(radius: float | None, turn: str) -> float:
-    """Curvature, 1/m, positive to the left."""
-    if radius is None:
-        return 0.0
-    return 1.0 / radius if turn == "left" else -1.0 / radius
-
-
 def rail_breaks(resolved: Resolved) -> tuple[float, ...]:
     """Track coordinates of all breaks, m, rising."""
     model = resolved.model
@@ -917,8 +904,9 @@ def _traction(model: ScenarioModel) -> TractionParams:
 def train_params(resolved: Resolved) -> TrainParams:
     """The engine's parameters (SI units) of a resolved scenario."""
     model = resolved.model
+    cuts, tracks, standing = _standing(resolved)
     return TrainParams(
-        cars=_cars(resolved),
+        cars=(*_cars(resolved), *(car for cut in cuts for car in cut)),
         initiation=InitiationParams(
             speed=model.train.speed_kmh * KMH,
             position=model.initiation.position_m,
@@ -926,8 +914,8 @@ def train_params(resolved: Resolved) -> TrainParams:
             parted_couplings=tuple(sorted(set(model.initiation.parted_couplings))),
             lateral_forces=_lateral_forces(model),
         ),
-        track=TrackParams(
-            segments=tuple(_segments(model.track.alignment)),
+        track=replace(
+            _line(model),
             rail_breaks=rail_breaks(resolved),
             grades=tuple(
                 GradeChange(
@@ -935,7 +923,6 @@ def train_params(resolved: Resolved) -> TrainParams:
                 )
                 for g in model.track.grades
             ),
-            **to_engine(model.track, TrackParams),
         ),
         brakes=BrakeParams(
             triggers=_triggers(model),
@@ -949,7 +936,43 @@ def train_params(resolved: Resolved) -> TrainParams:
         model=model.model,
         traction=_traction(model),
         couplings=_couplings(model),
+        site=site_params(model),
+        tracks=tracks,
+        standing=standing,
     )
+
+
+def _line(model: ScenarioModel) -> TrackParams:
+    """The centre line of the main track."""
+    return TrackParams(
+        segments=tuple(segments(model.track.alignment)), **to_engine(model.track, TrackParams)
+    )
+
+
+def _standing(
+    resolved: Resolved,
+) -> tuple[list[list[Car]], tuple[SecondTrack, ...], tuple[StandingCut, ...]]:
+    """Cars that stand on second tracks, by their cuts, and these."""
+    model = resolved.model
+    if model.site is None or not (model.site.tracks or model.site.standing):
+        return [], (), ()
+    if model.site.standing and model.train.virtual_from is not None:
+        reason = "the train has a body that stands for many cars (train.virtual_from)"
+        raise Refusal(("site", "standing"), reason)
+    brakes = model.brakes
+    cuts = [
+        [
+            _car(resolved, block, replace(_brake_unit(block, 0.0, brakes), scale=0.0, force=0.0))
+            for entry in entries
+            for block in entry
+            for _ in range(block.count)
+        ]
+        for entries in resolved.cuts
+    ]
+    if resolved.n_cars + sum(map(len, cuts)) > MAX_CARS:
+        raise Refusal(("site", "standing"), f"with these there are more than {MAX_CARS} cars")
+    widest = max(block.width for block in resolved.blocks)
+    return cuts, *standing_cuts(model.site, cuts, _line(model), widest)
 
 
 def _build_up(brakes: Brakes) -> dict[str, float]:
@@ -989,40 +1012,43 @@ def _triggers(model: ScenarioModel) -> tuple[BrakeTrigger, ...]:
 def _cars(resolved: Resolved) -> tuple[Car, ...]:
     """Bodies of the train; the last one may stand for several cars."""
     brakes = resolved.model.brakes
-    resistance = resolved.model.resistance
-    cars = []
-    for distance, block in _distances(resolved):
-        counts = block.load is not None and not block.locomotive
-        unit = _brake_unit(block, distance, brakes)
-        level = (0.0, 0.0, 0.0)
-        if resistance.law == "fcalc":
-            level = fcalc(block.mass, block.axles, resistance.area_m2)
-        cars.append(
-            Car(
-                mass=block.mass,
-                inertia=block.inertia,
-                length=block.length,
-                width=block.width,
-                pivot_distance=0.5 * block.pivots,
-                truck_distance=0.5 * block.trucks,
-                front=resolved.couplers[block.front],
-                rear=resolved.couplers[block.rear],
-                coupler_inertia=block.coupler_inertia,
-                brakes=(unit,),
-                name=block.name,
-                contents=block.contents,
-                locomotives=int(block.locomotive),
-                loads=int(counts and block.load >= LEAST_LOAD),  # type: ignore[operator]
-                empties=int(counts and block.load < LEAST_LOAD),  # type: ignore[operator]
-                resistance=level,
-                tractive_effort=_curve(block.tractive_effort),
-                dynamic_brake=_curve(block.dynamic_brake),
-            )
-        )
+    cars = [
+        _car(resolved, block, _brake_unit(block, distance, brakes))
+        for distance, block in _distances(resolved)
+    ]
     start = resolved.model.train.virtual_from
     if start is None:
         return tuple(cars)
     return (*cars[: start - 1], _virtual_body(cars[start - 1 :]))
+
+
+def _car(resolved: Resolved, block: Block, unit: BrakeUnit) -> Car:
+    """One car of a block, with its brake."""
+    resistance = resolved.model.resistance
+    counts = block.load is not None and not block.locomotive
+    level = (0.0, 0.0, 0.0)
+    if resistance.law == "fcalc":
+        level = fcalc(block.mass, block.axles, resistance.area_m2)
+    return Car(
+        mass=block.mass,
+        inertia=block.inertia,
+        length=block.length,
+        width=block.width,
+        pivot_distance=0.5 * block.pivots,
+        truck_distance=0.5 * block.trucks,
+        front=resolved.couplers[block.front],
+        rear=resolved.couplers[block.rear],
+        coupler_inertia=block.coupler_inertia,
+        brakes=(unit,),
+        name=block.name,
+        contents=block.contents,
+        locomotives=int(block.locomotive),
+        loads=int(counts and block.load >= LEAST_LOAD),  # type: ignore[operator]
+        empties=int(counts and block.load < LEAST_LOAD),  # type: ignore[operator]
+        resistance=level,
+        tractive_effort=_curve(block.tractive_effort),
+        dynamic_brake=_curve(block.dynamic_brake),
+    )
 
 
 def _virtual_body(cars: list[Car]) -> Car:

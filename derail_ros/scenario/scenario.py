@@ -20,7 +20,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
-from derail_ros.scenario import files
+from derail_ros.scenario import files, uncertain
+from derail_ros.scenario.calibrated import Draw, load_calibrated
+from derail_ros.scenario.constants import FIELDS, chosen, filled, values_of
 from derail_ros.scenario.errors import Refusal, ScenarioError
 from derail_ros.scenario.messages import did_you_mean, first_mistake, model_at, shown
 from derail_ros.scenario.plausibility import doubts
@@ -35,6 +37,7 @@ from derail_ros.scenario.resolve import (
 )
 from derail_ros.scenario.rolling_stock import RollingStock, load_rolling_stock
 from derail_ros.scenario.schema import FORMAT_VERSION, TITLE_LENGTH, ScenarioModel
+from derail_ros.scenario.site import add_alignment, add_features
 from derail_ros.scenario.strict_yaml import (
     MAX_DEPTH,
     Document,
@@ -111,19 +114,25 @@ class Scenario:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was read without an error and is hardly meant, in a sentence each."""
+        """Values that are possible but unlikely, a sentence each."""
         return (*self._document.notes, *doubts(self._resolved))
 
     @property
     def totals(self) -> TrainTotals:
         """Totals of the train: cars, loads, length, mass."""
-        return train_totals(self.to_params().cars)
+        params = self.to_params()
+        return train_totals(params.cars[: params.n_train])
 
     @property
     def car_types(self) -> tuple[str, ...]:
-        """Type of rolling stock of each car; "" where it was given by its numbers."""
-        blocks = self.model.train.consist
-        bodies = (sum(b.count for b in entry) for entry in self._resolved.entries)
+        """Type of rolling stock of each car; "" where it was given by its numbers.
+
+        Of the train's cars, then of those that stand on second tracks.
+        """
+        cuts = self.model.site.standing if self.model.site else ()
+        blocks = [*self.model.train.consist, *(block for cut in cuts for block in cut.consist)]
+        entries = (*self._resolved.entries, *self._resolved.cut_entries)
+        bodies = (sum(b.count for b in entry) for entry in entries)
         return tuple(b.car or "" for b, n in zip(blocks, bodies) for _ in range(n))
 
     @property
@@ -152,6 +161,68 @@ class Scenario:
     def to_params(self) -> TrainParams:
         """Parameters of the engine, SI units."""
         return train_params(self._resolved)
+
+    @property
+    def constants(self) -> str:
+        """Its set of constants: ``published`` or ``calibrated``."""
+        return self.model.constants or "published"
+
+    @property
+    def draws(self) -> bool:
+        """Whether each member of an ensemble has a draw of its own."""
+        return bool(self.model.drawn or self.model.uncertain)
+
+    def drawn_scenario(self, values: Mapping[str, Any]) -> Scenario:
+        """The scenario with values of :attr:`model`'s uncertain fields, which are so no more."""
+        try:
+            changes = uncertain.overrides(self, dict(values))
+        except Refusal as refusal:
+            raise self._document.error(refusal.path, refusal.reason) from None
+        return self.with_overrides({"title": self.title, "uncertain": {}, **changes})
+
+    def varied(self, member: int, seed: int = 0) -> Scenario:
+        """The scenario of a member of an ensemble, its uncertain fields drawn; 0: itself."""
+        if member == 0 or not self.model.uncertain:
+            return self
+        return self.drawn_scenario(uncertain.drawn(self, member, seed))
+
+    def member_params(self, member: int, seed: int = 0) -> TrainParams:
+        """Parameters of a member of an ensemble: all but member 0 have a draw."""
+        one = self.varied(member, seed)
+        if member == 0 or not one.model.drawn:
+            return one.to_params()
+        return one.drawn_params(load_calibrated().draw(member - 1, seed))
+
+    def member_inputs(self, member: int, seed: int = 0) -> dict[str, Any]:
+        """What a member of an ensemble draws: dotted path -> value, or factor where relative."""
+        found = uncertain.drawn(self, member, seed)
+        one = self.varied(member, seed)
+        if member == 0 or not one.model.drawn:
+            return found
+        draw = load_calibrated().draw(member - 1, seed)
+        for section, values in values_of(one._resolved, one.model.drawn, draw).items():
+            found |= {f"{section}.{key}": value for key, value in values.items()}
+        return found
+
+    def given(self, path: str) -> Any:
+        """What was given at a dotted path; None if nothing was."""
+        return _get(self._document.data, path)
+
+    def own_value(self, path: str) -> Any:
+        """The value of a field at a dotted path, given or not; None if there is no single one."""
+        steps = path.split(".")
+        if steps[:2] == ["train", "consist"] and len(steps) > 3:
+            entries = self._resolved.entries
+            i = int(steps[2])
+            if i >= len(entries) or len(entries[i]) > 1:
+                return None
+            steps[2] = str(sum(map(len, entries[:i])))
+        return _get(self._known, ".".join(steps))
+
+    def drawn_params(self, draw: Draw) -> TrainParams:
+        """Parameters with a draw in place of what is drawn; if published, of all that can be."""
+        names = self.model.drawn or tuple(FIELDS)
+        return train_params(filled(self._resolved, names, draw))
 
     def resolved(self) -> dict[str, Any]:
         """All fields with defaults and types filled in, as plain data fit for JSON.
@@ -225,6 +296,7 @@ class Scenario:
                 raise _bad_path(path, marks[text], reason)
             _put(document.data, path, values[text], marks[text])
         _settle_masses(document, overridden)
+        _settle_drawn(document, overridden)
         document.marks = _without(document.marks, overridden)
         document.marks.update({path: marks[text] for text, path in steps.items()})
         document.marks.update({_split(text, mark): mark for text, mark in marks.items()})
@@ -349,10 +421,30 @@ def _load(
         base = _base(document, folders, seen)
         _merge_below(document, base)
         document.files = {**document.files, **base.files}
+    _read_site(document, seen[-1].parent if seen else None)
     scenario = _build(name, document, load_rolling_stock())
     if seen:
         _add_inputs(scenario, seen[-1].parent)
     return scenario._with(overrides, marks) if overrides else scenario
+
+
+def _read_site(document: Document, folder: FilePath | None) -> None:
+    """Read the files of track and place, which lie in ``folder`` (None: there is none)."""
+    for key, add in (("track", add_alignment), ("site", add_features)):
+        section = document.data.get(key)
+        if not isinstance(section, dict) or section.get("file") is None:
+            continue
+        name = section.pop("file")
+        place: Path = (key, "file")
+        if not isinstance(name, str) or "/" in name or "\\" in name or name in (".", ".."):
+            reason = f"must be the name of a file beside it, got {shown(name)}"
+            raise document.error(place, reason)
+        if folder is None:
+            reason = "only goes with a scenario in a file: give its content here"
+            raise document.error(place, reason)
+        content = files.read_text(folder / name).encode()
+        document.notes += add(document.data, name, content)
+        document.files = {**document.files, name: content}
 
 
 def _add_inputs(scenario: Scenario, folder: FilePath) -> None:
@@ -459,10 +551,15 @@ def _build(name: str, document: Document, stock: RollingStock) -> Scenario:
         mistake = first_mistake(error, ScenarioModel)
         raise document.error(mistake.path, mistake.reason) from None
     try:
-        resolved = resolve(model, stock)
+        resolved = chosen(resolve(model, stock))
     except Refusal as refusal:
         raise document.error(refusal.path, refusal.reason) from None
-    return Scenario(name, model, resolved, document, stock)
+    scenario = Scenario(name, resolved.model, resolved, document, stock)
+    try:
+        uncertain.check(scenario)
+    except Refusal as refusal:
+        raise document.error(refusal.path, refusal.reason) from None
+    return scenario
 
 
 # --- overrides --------------------------------------------------------------------------------
@@ -589,6 +686,17 @@ def _touched(overridden: set[Path], block: int) -> set[Path]:
     return {path[3:] for path in overridden if path[:3] == place}
 
 
+def _settle_drawn(document: Document, overridden: set[Path]) -> None:
+    """What is given by an override is drawn no more."""
+    if "drawn" in document.data:
+        given = {path for path in overridden if len(path) > 1}
+        document.data["drawn"] = [
+            name
+            for name in document.data["drawn"]
+            if not any((FIELDS[name][0], key) in given for key in FIELDS[name][1])
+        ]
+
+
 def _settle_masses(document: Document, overridden: set[Path]) -> None:
     """Of load and mass, which exclude each other, the overridden one counts."""
     for path in overridden:
@@ -623,16 +731,21 @@ def _scale_inertia(
 # --- writing ----------------------------------------------------------------------------------
 
 
-WITH_LATER = ("brakes", "track", "couplers", "derailment")
+WITH_LATER = ("brakes", "track", "couplers", "derailment", "site")
 """Sections with fields that came later than the first version of the format."""
 
 
 def _resolved_data(resolved: Resolved) -> dict[str, Any]:
-    data: dict[str, Any] = resolved.model.model_dump(mode="json")
-    if data["model"] == PLANAR:  # came later: the hashes of older scenarios stay what they were
+    model = resolved.model
+    if model.constants == "published":  # came later: the hashes of older scenarios stay
+        model = model.model_copy(update={"constants": None})
+    data: dict[str, Any] = model.model_dump(mode="json")
+    if data["model"] == PLANAR:  # came later too
         del data["model"]
-    later_ones = {key: getattr(resolved.model, key) for key in WITH_LATER}
-    for key, section in {"": resolved.model, **later_ones}.items():
+    later_ones = {key: getattr(model, key) for key in WITH_LATER}
+    for key, section in {"": model, **later_ones}.items():
+        if section is None:
+            continue
         plain = data[key] if key else data
         for name, info in type(section).model_fields.items():
             extra = info.json_schema_extra
@@ -641,6 +754,9 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
                 del plain[name]
     data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
     data["train"]["car_types"] = {}
+    for j, cut in enumerate(resolved.cuts):
+        blocks = [_block_data(block) for entry in cut for block in entry]
+        data["site"]["standing"][j]["consist"] = blocks
     couplers = data["couplers"]
     couplers["k2_N_per_m"] = None
     couplers["damping_N_s_per_m"] = None

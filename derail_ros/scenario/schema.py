@@ -126,6 +126,57 @@ def to_engine(section: Section, owner: type[Any]) -> dict[str, Any]:
     return values
 
 
+# --- distributions ----------------------------------------------------------------------------
+
+Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
+
+
+class Normal(Section):
+    """Normal, cut off at ``low`` and ``high`` where they are given."""
+
+    mean: Number = _field(..., "", "mean before it is cut off")
+    sd: Number = _field(..., "", "standard deviation before it is cut off", gt=0)
+    low: Number | None = _field(None, "", "least value")
+    high: Number | None = _field(None, "", "largest value")
+
+
+class Lognormal(Section):
+    """Lognormal, cut off likewise."""
+
+    median: Number = _field(..., "", "median before it is cut off", gt=0)
+    sigma: Number = _field(..., "1", "standard deviation of the logarithm", gt=0)
+    low: Number | None = _field(None, "", "least value")
+    high: Number | None = _field(None, "", "largest value")
+
+
+class Triangular(Section):
+    """Triangular."""
+
+    low: Number = _field(..., "", "least value")
+    mode: Number = _field(..., "", "most likely value")
+    high: Number = _field(..., "", "largest value")
+
+
+class Distribution(Section):
+    """Exactly one shape."""
+
+    normal: Normal | None = _field(None, "", "normal")
+    lognormal: Lognormal | None = _field(None, "", "lognormal")
+    triangular: Triangular | None = _field(None, "", "triangular")
+
+
+class Uncertain(Distribution):
+    """What each member of an ensemble draws for a field: exactly one shape."""
+
+    uniform: tuple[Number, ...] | None = _field(
+        None, "", "uniform between two values", min_length=2, max_length=2
+    )
+    values: tuple[Scalar, ...] | None = _field(
+        None, "", "one of these, each as likely", min_length=1, max_length=1000
+    )
+    relative: Switch = _field(False, "", "factors on the value that the scenario has itself")
+
+
 # --- rolling stock ----------------------------------------------------------------------------
 
 
@@ -536,6 +587,17 @@ class TrackSection(Section):
     start_heading_rad: Number = _engine(
         TrackParams, "start_heading", "rad", "direction in which it begins, CCW from +X"
     )
+    file: FileName | None = _field(
+        None,
+        "",
+        "file beside the scenario that alignment and grades are fitted to when it is read: a "
+        "GeoJSON LineString, by the datum of `site` and heights as third numbers, or a CSV table "
+        "of chainage_m, curvature_per_m and height_m",
+        later=True,
+    )
+    file_tolerance_m: Number = _field(
+        0.01, "m", "standard deviation granted to its points", gt=0, le=100, later=True
+    )
     grades: tuple[GradeSpec, ...] = _field(
         (),
         "",
@@ -844,6 +906,15 @@ class Derailment(Section):
         ge=0,
         le=10,
     )
+    truck_play_m: Number = _engine(
+        DerailmentParams,
+        "truck_play",
+        "m",
+        "play of trucks to either side between the rails, by which cars stand askew in buff",
+        later=True,
+        ge=0,
+        le=0.2,
+    )
     guide_strength_N: Number = _engine(
         DerailmentParams,
         "guide_strength",
@@ -938,7 +1009,7 @@ class Integration(Section):
         IntegrationParams,
         "buffer_fraction",
         "1",
-        "no corner moves further than this share of the buffer in one step",
+        "no corner of a car that may turn moves further than this share of the buffer in one step",
         gt=0,
         le=0.5,
     )
@@ -988,10 +1059,142 @@ class Datum(Section):
     )
 
 
+Vertex = tuple[Number, Number]
+
+
+class Outlined(Section):
+    """Something with an outline."""
+
+    name: Title = _field(..., "", "what outputs call it")
+    outline_m: tuple[Vertex, ...] = _field(
+        (), "m", "vertices [x, y] in the frame of the track", max_length=2000
+    )
+    outline_along_m: tuple[Vertex, ...] = _field(
+        (), "m", "or vertices [track coordinate, offset to the left]", max_length=2000
+    )
+
+
+class ZoneSpec(Outlined):
+    """Ground of its own within a polygon; of overlapping zones the last one counts."""
+
+    factor: Number | None = _field(None, "1", "factor on the constants of `ground`", ge=0, le=100)
+    preset: Literal["soil_lowest", "soil_highest"] | None = _field(
+        None, "", "resistance 1 or 3.5: the range that the source cites for soils"
+    )
+    c_s: Number | None = _field(None, "1", "static coefficient; that of ground", ge=0, le=100)
+    c_d: Number | None = _field(None, "1", "dynamic coefficient; that of ground", ge=0, le=100)
+    eps_m_per_s: Number | None = _field(
+        None, "m/s", "speed that smooths the change at rest; that of ground", gt=0, le=10
+    )
+    c_v_s_per_m: Number | None = _field(
+        None, "s/m", "growth with speed; that of ground", ge=0, le=100
+    )
+    rise_percent: Number = _field(0.0, "%", "slope, rise over run", ge=0, le=200)
+    uphill_deg: Number | None = _field(
+        None, "deg", "direction uphill, counter-clockwise from the x axis", ge=-360, le=360
+    )
+
+
+class FixedSpec(Outlined):
+    """A wall, pier or building that cars strike."""
+
+    closed: Switch = _field(False, "", "a polygon (pier, building), or else a chain (wall)")
+    yields_at_N: Number | None = _field(
+        None, "N", "force of one corner of a car that pushes it in; null: rigid", gt=0, le=1e9
+    )
+    takes_J: Number | None = _field(
+        None,
+        "J",
+        "energy after which it gives way for good: each segment of a chain, a polygon as a "
+        "whole; null: never",
+        gt=0,
+        le=1e12,
+    )
+
+
+class AreaSpec(Outlined):
+    """A polygon or a line of which it is told which cars come there."""
+
+    closed: Switch = _field(True, "", "a polygon, or else a line")
+
+
+class SecondTrackSpec(Section):
+    """A track beside the main one: so far to its left, or with an alignment of its own."""
+
+    name: Title = _field(..., "", "what outputs call it")
+    offset_m: Number | None = _field(
+        None, "m", "how far to the left of the main track; negative: right", ge=-1e3, le=1e3
+    )
+    from_m: Number | None = _field(
+        None,
+        "m",
+        "with offset_m: coordinate of the main track beside which it begins, and its own",
+    )
+    to_m: Number | None = _field(None, "m", "the same of its end")
+    alignment: tuple[Piece, ...] = _field((), "", "or pieces as those of `track`", max_length=1000)
+    start_coordinate_m: Number = _field(0.0, "m", "coordinate where the alignment begins")
+    start_x_m: Number = _field(0.0, "m", "x where the alignment begins", ge=-1e6, le=1e6)
+    start_y_m: Number = _field(0.0, "m", "y where the alignment begins", ge=-1e6, le=1e6)
+    start_heading_rad: Number = _field(
+        0.0, "rad", "direction in which it begins, CCW from +X", ge=-10, le=10
+    )
+
+
+class StandingSpec(Section):
+    """Coupled cars that stand on a second track."""
+
+    track: Title = _field(..., "", "name of the second track")
+    position_m: Number = _field(
+        ..., "m", "coordinate of the first car's mass centre there; the others stand behind it"
+    )
+    consist: tuple[ConsistBlock, ...] = _field(
+        ..., "", "blocks of cars, as of the train", min_length=1, max_length=500
+    )
+
+
 class Site(Section):
     """The place of the scenario."""
 
     datum: Datum | None = _field(None, "", "where on the Earth it is")
+    file: FileName | None = _field(
+        None,
+        "",
+        "GeoJSON file beside the scenario; its features become zones, fixed bodies and areas "
+        "when the scenario is read",
+        later=True,
+    )
+    reference_system: Label | None = _field(
+        None,
+        "",
+        "of the file: EPSG:4326 (longitude and latitude, unless given), another by pyproj, or "
+        "`local`: x and y in m",
+        later=True,
+    )
+    zones: tuple[ZoneSpec, ...] = _field((), "", "ground of its own", max_length=500, later=True)
+    fixed: tuple[FixedSpec, ...] = _field(
+        (), "", "walls, piers and buildings", max_length=500, later=True
+    )
+    areas: tuple[AreaSpec, ...] = _field(
+        (),
+        "",
+        "lines and polygons of which it is told who comes there",
+        max_length=500,
+        later=True,
+    )
+    tracks: tuple[SecondTrackSpec, ...] = _field(
+        (), "", "tracks beside the main one", max_length=100, later=True
+    )
+    standing: tuple[StandingSpec, ...] = _field(
+        (), "", "cars that stand on them", max_length=100, later=True
+    )
+    border_m: Number = _field(
+        0.5,
+        "m",
+        "width over which the ground of one zone passes into the next",
+        gt=0,
+        le=100,
+        later=True,
+    )
 
 
 class ScenarioModel(Section):
@@ -1002,6 +1205,23 @@ class ScenarioModel(Section):
     description: Text = _field("", "", "what it is, at length")
     source: Text = _field("", "", "where the numbers come from")
     model: TypeName = _field("planar", "", "model that computes the run, of `derail models`")
+    constants: Literal["published", "calibrated"] | None = _field(
+        None,
+        "",
+        "set of constants for what is not given: the thesis' (published), or draws of what "
+        "accident reports leave open (calibrated); null: calibrated, if any of it is left open",
+        later=True,
+    )
+    drawn: tuple[Label, ...] = _field(
+        (), "", "written by programs: the constants here that ensembles draw", later=True
+    )
+    uncertain: dict[str, Uncertain] = _field(
+        {},
+        "",
+        "dotted path -> what members of an ensemble draw for it; `*` is every entry of a list",
+        later=True,
+        max_length=50,
+    )
     inputs: tuple[InputSpec, ...] = _field(
         (),
         "",
@@ -1022,4 +1242,6 @@ class ScenarioModel(Section):
         Derailment(), "", "when trucks leave the rails and couplings part"
     )
     integration: Integration = _field(Integration(), "", "integration and the end of the run")
-    site: Site | None = _field(None, "", "the place; outputs use it, not the motion", later=True)
+    site: Site | None = _field(
+        None, "", "the place: where on the Earth it is, and what is beside the track", later=True
+    )

@@ -64,12 +64,13 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 """What is needed of a report -> headings of its column: the yearly files', the portal's."""
 
-WANTED = {
+WANTED: dict[str, tuple[str, ...]] = {
     "accident": ("1", "01", "DERAILMENT"),
     "equipment": ("1", "01", "FREIGHT TRAIN"),
     "track": ("1", "01", "MAIN"),
 }
-"""What makes a report one of a freight train derailed on a main track."""
+"""What makes a report one of a freight train derailed on a main track. A table without any of
+these columns is taken to hold such reports only."""
 
 
 class AccidentFileError(ValueError):
@@ -105,7 +106,10 @@ class Report:
 def _columns(heads: Sequence[str], path: Path, line: int) -> dict[str, int]:
     place = {head.strip().casefold(): i for i, head in enumerate(heads)}
     found = {}
+    chosen = all(n.casefold() not in place for key in WANTED for n in COLUMNS[key])
     for key, names in COLUMNS.items():
+        if chosen and key in WANTED:
+            continue
         at = next((place[n.casefold()] for n in names if n.casefold() in place), None)
         if at is None:
             raise AccidentFileError(
@@ -194,7 +198,7 @@ def _reports(lines: Any, path: Path) -> Iterator[Report]:
                 f"{where}: has {count(len(cells), 'column')}, fewer than line {first}"
             )
         text = {key: cells[i].strip() for key, i in at.items()}
-        if any(text[key].upper() not in words for key, words in WANTED.items()):
+        if any(key in text and text[key].upper() not in words for key, words in WANTED.items()):
             continue
         place = {key: f"{where}: {heads[i].strip()}" for key, i in at.items()}
         if not text["year"]:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.scenario import Scenario, ScenarioError
+from derail_ros.scenario.distributions import quantile_of
 from derail_ros.studies.orders import reorder
 from derail_ros.studies.plan import (
     MAX_RUNS,
-    Distribution,
     Parameter,
     Study,
     fill,
@@ -378,40 +378,8 @@ def _axis(study: Study, name: str, p: Parameter) -> Axis:
             return Axis(name, (), lambda u: level(min(first + int(u * size), last), "range"))
         return Axis(name, (), lambda u: level(low + (high - low) * u, "range"))
     assert p.distribution is not None
-    quantile = _quantile(p.distribution)
+    quantile = quantile_of(p.distribution)
     return Axis(name, (), lambda u: level(number(quantile(u)), "distribution"))
-
-
-def _quantile(distribution: Distribution) -> Callable[[float], float]:
-    """The inverse of a distribution function."""
-    from scipy.stats import triang, truncnorm
-
-    if (t := distribution.triangular) is not None:
-        law = triang((t.mode - t.low) / (t.high - t.low), t.low, t.high - t.low)
-        return lambda u: float(law.ppf(u))
-
-    def standard(low: float, high: float) -> Callable[[float], float]:
-        law = truncnorm(low, high)
-        # the ends of an open distribution lie at infinity
-        return lambda u: float(law.ppf(min(max(u, 1e-12), 1.0 - 1e-12)))
-
-    if (n := distribution.normal) is not None:
-        mean, sd = n.mean, n.sd
-        ends = [end if value is None else (value - mean) / sd
-                for value, end in ((n.low, -math.inf), (n.high, math.inf))]  # fmt: skip
-        z = standard(*ends)
-        return lambda u: mean + sd * z(u)
-    ln = distribution.lognormal
-    assert ln is not None
-    median, sigma = ln.median, ln.sigma
-
-    def score(value: float | None, end: float) -> float:
-        if value is None:
-            return end
-        return math.log(value / median) / sigma if value > 0.0 else -math.inf
-
-    z = standard(score(ln.low, -math.inf), score(ln.high, math.inf))
-    return lambda u: median * math.exp(sigma * z(u))
 
 
 def _order_axis(study: Study, name: str, p: Parameter) -> Axis:

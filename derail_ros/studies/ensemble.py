@@ -46,6 +46,19 @@ class ScenarioLike(Protocol):
     def to_params(self) -> TrainParams: ...
 
 
+@dataclass(frozen=True)
+class Member:
+    """A member of an ensemble of a scenario that draws; built where it is run."""
+
+    scenario: Any
+    member: int
+    seed: int
+
+    def to_params(self) -> TrainParams:
+        """The engine's parameters with its draw."""
+        return self.scenario.member_params(self.member, self.seed)
+
+
 class Stopped(Exception):
     """A run was given up because its runner was told to stop."""
 
@@ -70,7 +83,7 @@ def member_factor(seed: int, member: int, variation: float = VARIATION) -> float
 class Job:
     """One run to compute."""
 
-    scenario: ScenarioLike | TrainParams
+    scenario: ScenarioLike | Member | TrainParams
     # dotted path -> value, applied to the scenario
     overrides: Mapping[str, Any] = field(default_factory=dict)
     member: int = 0  # number within its ensemble, from 0
@@ -251,17 +264,32 @@ def ensemble_jobs(
     overrides: Mapping[str, Any] | None = None,
     key: Any = None,
 ) -> Iterator[Job]:
-    """The members 0 to ``members - 1`` of an ensemble."""
+    """The members 0 to ``members - 1`` of an ensemble.
+
+    Those of a scenario with uncertain fields or calibrated constants each have a draw of them;
+    others differ in the lateral force alone.
+    """
     if members < 1:
         raise ValueError(f"members must be at least 1, got {members}")
     member_factor(seed, 0)
     base: Any = scenario
     if overrides:
         base = base.with_overrides(overrides)
+    if getattr(base, "draws", False):
+        for member in range(members):
+            yield Job(Member(base, member, seed), member=member, seed=seed, variation=0.0, key=key)
+        return
     # Built once: reading a scenario costs more than varying its parameters.
     params = base.to_params() if hasattr(base, "to_params") else base
     for member in range(members):
         yield Job(params, member=member, seed=seed, variation=variation, key=key)
+
+
+def inputs(scenario: Any, members: int, seed: int = 0) -> list[dict[str, Any]]:
+    """What each member of an ensemble draws: dotted path -> value or factor; {} of member 0."""
+    if scenario.draws:
+        return [scenario.member_inputs(member, seed) for member in range(members)]
+    return [{}] + [{"lateral_factor": member_factor(seed, m)} for m in range(1, members)]
 
 
 def gather(

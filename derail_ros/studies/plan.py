@@ -20,8 +20,19 @@ from pydantic_core import PydanticCustomError
 from derail_ros.config_path import config_dir
 from derail_ros.scenario import Scenario, ScenarioError, load_scenario
 from derail_ros.scenario import files as scenario_files
+from derail_ros.scenario.distributions import mistake
 from derail_ros.scenario.messages import did_you_mean, first_mistake
-from derail_ros.scenario.schema import Integer, Label, Number, Section, Switch, Text, Title
+from derail_ros.scenario.schema import (
+    Distribution,
+    Integer,
+    Label,
+    Number,
+    Scalar,
+    Section,
+    Switch,
+    Text,
+    Title,
+)
 from derail_ros.scenario.strict_yaml import Document, parse
 from derail_ros.studies.orders import is_order
 from derail_ros.studies.study_measures import (
@@ -39,7 +50,6 @@ MAX_RUNS = 10_000_000
 """Largest number of runs of a study."""
 
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
-Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
 
 
 def _measure_key(name: str) -> str:
@@ -59,40 +69,6 @@ RANDOM = ("latin_hypercube", "sobol")
 
 
 # --- the format -------------------------------------------------------------------------------
-
-
-class Normal(Section):
-    """Normal, cut off at ``low`` and ``high`` where they are given."""
-
-    mean: Number
-    sd: Number = Field(gt=0)
-    low: Number | None = None
-    high: Number | None = None
-
-
-class Lognormal(Section):
-    """Lognormal, cut off likewise; ``sigma`` is the standard deviation of the logarithm."""
-
-    median: Number = Field(gt=0)
-    sigma: Number = Field(gt=0)
-    low: Number | None = None
-    high: Number | None = None
-
-
-class Triangular(Section):
-    """Triangular."""
-
-    low: Number
-    mode: Number
-    high: Number
-
-
-class Distribution(Section):
-    """Exactly one of the three; for a uniform one give ``range``."""
-
-    normal: Normal | None = None
-    lognormal: Lognormal | None = None
-    triangular: Triangular | None = None
 
 
 class Column(Section):
@@ -402,8 +378,8 @@ def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) ->
     for i, order in enumerate(p.order or ()):
         if not is_order(order):
             refuse((*place, "order", i), f"unknown order {order!r}")
-    if p.distribution is not None:
-        _check_distribution((*place, "distribution"), p.distribution, refuse)
+    if p.distribution is not None and (wrong := mistake(p.distribution)):
+        refuse((*place, "distribution", *wrong[0]), wrong[1])
     if model.design in ("one_at_a_time", "grid"):
         if source == "distribution":
             refuse((*place, source), f"the design {model.design} needs levels; give values")
@@ -415,22 +391,6 @@ def _check_parameter(model: StudyModel, name: str, p: Parameter, refuse: Any) ->
         refuse((*place, "base"), "is required with set: the value that the base scenario has")
     if p.base is not None and (p.set is None or model.design != "one_at_a_time"):
         refuse((*place, "base"), "needs set and the design one_at_a_time")
-
-
-def _check_distribution(
-    place: tuple[str | int, ...], distribution: Distribution, refuse: Any
-) -> None:
-    kinds = [k for k in ("normal", "lognormal", "triangular") if getattr(distribution, k)]
-    if len(kinds) != 1:
-        refuse(place, "must be one of normal, lognormal and triangular")
-    kind = getattr(distribution, kinds[0])
-    low, high = kind.low, kind.high
-    if low is not None and high is not None and not low < high:
-        refuse((*place, kinds[0]), f"must rise, got {low:g} to {high:g}")
-    if kinds[0] == "triangular" and not low <= kind.mode <= high:
-        refuse((*place, kinds[0], "mode"), f"must lie between {low:g} and {high:g}")
-    if kinds[0] == "lognormal" and high is not None and high <= 0:
-        refuse((*place, kinds[0], "high"), "must be above 0")
 
 
 def _check_paths(model: StudyModel, refuse: Any) -> None:

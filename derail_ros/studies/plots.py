@@ -40,7 +40,7 @@ from derail_ros.vocabulary.words import capital, count
 if TYPE_CHECKING:
     import pandas as pd
 
-WIDTH = 10.0
+WIDTH = 6.6
 MOST_SERIES = 7
 MOST_PANELS = 9
 MOST_ROWS = 60
@@ -103,8 +103,8 @@ def _default_specs(results: StudyResults) -> list[FigureSpec]:
 # --- panels -----------------------------------------------------------------------------------
 
 
-def _figure(height: float, width: float = WIDTH) -> Figure:
-    figure = sheet(width, height, layout="constrained")
+def _figure(height: float) -> Figure:
+    figure = sheet(WIDTH, height, layout="constrained")
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(h_pad=0.09, w_pad=0.06)  # type: ignore[call-arg]
@@ -112,12 +112,12 @@ def _figure(height: float, width: float = WIDTH) -> Figure:
 
 
 def _panels(
-    n: int, extra: float, row: float, most: int = 3, width: float = WIDTH, **shared: Any
+    n: int, extra: float, row: float, most: int = 2, **shared: Any
 ) -> tuple[Figure, list[Axes]]:
     """A figure of n panels, so many in a row at most; its height is ``extra + row * rows``."""
     columns = min(most, n)
     rows = -(-n // columns)
-    figure = _figure(extra + row * rows, width)
+    figure = _figure(extra + row * rows)
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False, **shared).ravel()
     for axes in grid[n:]:
         axes.set_visible(False)
@@ -140,7 +140,7 @@ def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, size=10.5, weight="bold", loc="left")
 
 
-def _legend(figure: Figure, handles: Sequence[Any], ncol: int = 4, **more: Any) -> None:
+def _legend(figure: Figure, handles: Sequence[Any], ncol: int = 3, **more: Any) -> None:
     look = {"loc": "outside upper left", "ncol": ncol, "frameon": False, "fontsize": 9.5}
     figure.legend(handles=handles, **look, **more)
 
@@ -249,10 +249,10 @@ def _tornado(results: StudyResults) -> Drawn | None:
         axes.plot([y for y, _ in at], [k] * len(at), ls="", marker="|", ms=9, color=INK)
         for (y, v), side, shift in ((at[0], "right", -1), (at[-1], "left", 1)):
             text = f" {study.value(name, v)} "
-            axes.text(y + shift * 0.008 * reach, k, text, va="center", ha=side, size=8)
+            axes.text(y + shift * 0.008 * reach, k, text, va="center", ha=side, size=9)
     axes.axvline(1.0, color=FAINT, lw=1.0, zorder=1)
     axes.set_yticks(range(len(bars)), [study.words(name) for name, _ in bars], size=10)
-    axes.set_xlim(lowest - 0.16 * reach, highest + 0.16 * reach)
+    axes.set_xlim(lowest - 0.22 * reach, highest + 0.22 * reach)
     label = "relative severity" if measure == relative else measure_of(measure).words
     axes.set_xlabel(f"mean {label}, base = 1")
     ranked = ", ".join(
@@ -286,7 +286,6 @@ def _over(results: StudyResults, spec: FigureSpec, number: int) -> Drawn | None:
         len(panels),
         0.55,
         3.5 if len(panels) <= 3 else 3.0,
-        width=6.6 if len(panels) == 1 else WIDTH,
         sharex=True,
     )
     numbers = statistics.is_numeric(table[spec.x])
@@ -407,7 +406,7 @@ def _counts(results: StudyResults) -> Drawn | None:
     first, last = int(k.min()), int(k.max())
     shares = np.zeros((n, last - first + 1))
     shares[counts["point"].to_numpy(dtype=int), k - first] = counts["share"].to_numpy(dtype=float)
-    figure = _figure(1.1 + 0.24 * n, 8.0)
+    figure = _figure(1.1 + 0.24 * n)
     axes = figure.subplots()
     picture = axes.imshow(
         np.ma.masked_equal(shares, 0.0),
@@ -449,7 +448,7 @@ def _sobol(results: StudyResults) -> Drawn | None:
     table = table[table["S1"].notna()]
     measures = list(dict.fromkeys(table["measure"]))[:6]
     names = [axis.name for axis in results.design.axes]
-    figure, panels = _panels(len(measures), 0.5, 0.9 + 0.42 * len(names), most=2, sharex=True)
+    figure, panels = _panels(len(measures), 0.5, 0.9 + 0.42 * len(names), sharex=True)
     kinds: tuple[tuple[str, str, float, str, str], ...] = (
         ("S1", "alone (S1)", -0.18, "#a9cfe6", ""),
         ("ST", "with all others (ST)", 0.18, "#f4c9a8", "////"),

@@ -180,6 +180,26 @@ class Ensemble:
             {k: float(v.std(ddof=1)) if len(v) > 1 else None for k, v in self.numbers.items()}
         )
 
+    def site(self) -> dict[str, Any]:
+        """Shares of the runs: bodies that were struck, areas that some car reached or stays in."""
+        runs = [r["site"] for r in self.good if r.get("site")]
+
+        def share(part: str, name: str, key: str) -> float:
+            return sum(bool(e[key]) for r in runs for e in r[part] if e["name"] == name) / len(
+                runs
+            )
+
+        first = runs[0] if runs else {"fixed": [], "inside": []}
+        names = {k: [e["name"] for e in first[k]] for k in first if k != "zones"}
+        keys = {"fixed": ("struck_by",), "inside": ("cars_ever", "cars_at_rest")}
+        return {
+            part: [
+                {"name": name, **{f"share_{key}": share(part, name, key) for key in keys[part]}}
+                for name in names[part]
+            ]
+            for part in names
+        }
+
     def counts(self) -> dict[str, Any]:
         """Numbers of runs and the reasons of failed ones, as plain data."""
         return {

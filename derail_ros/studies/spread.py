@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from derail_ros.studies.ensemble import ScenarioLike, ensemble_jobs
 from derail_ros.studies.records import Distribution, Ensemble, ensembles, pair_text
 from derail_ros.studies.tables import Table
+from derail_ros.vocabulary.words import count
 
 DEFAULT = ("mississauga", "base_train")
 
@@ -118,7 +119,7 @@ def sentence(s: Spread) -> str:
         f"In nine of ten runs {band('cars_derailed')} cars derail within "
         f"{band('duration_s')}; the largest force is {band('peak_force_N')}, the scene "
         f"{band('scene_length_m')} long and {band('scene_width_m')} wide. The largest force is "
-        f"between {len(s.ensemble.pairs)} different pairs of cars, most often {top} "
+        f"between {count(len(s.ensemble.pairs), 'pair')} of cars, most often {top} "
         f"({100.0 * times / max(s.counted, 1):.0f} %)."
     )
 

@@ -30,6 +30,8 @@ class EventKind(enum.IntEnum):
     RUN_VOID = 8
     RUN_FAILED = 9
     RUN_RESET = 10
+    CAR_ON_SIDE = 11
+    CAR_OVERRIDDEN = 12
 
     @property
     def word(self) -> str:
@@ -100,6 +102,8 @@ _UNITS = {
     EventKind.BRAKE_SIGNAL_REACHED: "m",
     EventKind.RUN_ENDED: "s",
     EventKind.RUN_VOID: "m",
+    EventKind.CAR_ON_SIDE: "rad",
+    EventKind.CAR_OVERRIDDEN: "m",
 }
 
 
@@ -140,6 +144,10 @@ def describe(e: Event) -> str:
         return f"the brake signal reaches {car}"
     if e.kind == EventKind.CAR_AT_REST:
         return f"{car} comes to rest"
+    if e.kind == EventKind.CAR_ON_SIDE:
+        return f"{car} comes down on its side{how_fast}"
+    if e.kind == EventKind.CAR_OVERRIDDEN and len(e.cars) > 1:
+        return f"car {e.cars[1]} rides up on {car}{how_fast}"
     if e.kind == EventKind.RUN_ENDED:
         return _ENDINGS.get(e.cause, f"the run ends{why}")
     if e.kind == EventKind.RUN_VOID:
@@ -188,7 +196,8 @@ class Collision:
     closing_speed : normal speed of approach at the corner when the contact began, m/s
     x, y : place of the corner at the peak, m
     normal_x, normal_y : direction of the force on ``car_a`` at the peak
-    angle : angle between the long axes of the two cars at the peak, rad, 0 to pi/2
+    angle : angle between the long axes of the two cars at the peak, or between that of the
+        car and the fixed thing's side, rad, 0 to pi/2
     energy_lost : work that the contact has taken out of the two cars, J
     z, normal_z : height of the place, m, and vertical part of the direction
     object : name of the fixed thing that was struck in place of ``car_b`` (then 0), "" for a car
@@ -229,6 +238,8 @@ class Collision:
         """What touched what, in words."""
         corner = CORNERS[self.corner] if 0 <= self.corner < len(CORNERS) else "a"
         wall = f", {self.wall}" if self.wall else ""
+        if self.object:
+            return f"{corner} corner of car {self.corner_car}{wall}"
         return f"{corner} corner of car {self.corner_car} on car {self.other_car}{wall}"
 
     @property
@@ -238,7 +249,8 @@ class Collision:
         return (
             f"car {self.car_a} strikes {struck}: {force(self.peak_force)} at the {self.touch}, "
             f"closing at {self.closing_speed:.1f} m/s, "
-            f"{math.degrees(self.angle):.0f}\N{DEGREE SIGN} between the cars"
+            f"{math.degrees(self.angle):.0f}\N{DEGREE SIGN} "
+            + ("to it" if self.object else "between the cars")
         )
 
 

@@ -1,4 +1,4 @@
-"""THE table of measures: what is told of an outcome in tables, JSON, studies, figures, messages.
+"""The table of measures: the numbers of an outcome in tables, JSON, studies, figures, messages.
 
 To add a measure, add one row to :data:`MEASURES`; everything else reads the table.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 from derail_ros.vocabulary.outcome import COUPLING_VALUES, Outcome
 from derail_ros.vocabulary.severity import severity
+from derail_ros.vocabulary.site import SiteOutcome
 from derail_ros.vocabulary.status import AT_REST, FAILED
 from derail_ros.vocabulary.words import finite, number_list
 
@@ -35,7 +36,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Measure:
-    """What is told of an outcome.
+    """One number or list of an outcome.
 
     Attributes
     ----------
@@ -46,8 +47,9 @@ class Measure:
     unit : SI unit, "" for none
     shown_unit, scale, digits : how it is shown to people: unit, factor from SI, digits
     group : HEADLINE for the table of an outcome, DETAIL for JSON, studies and messages only,
-        NUMERICS for what tells of the computation
+        NUMERICS for the numerical quality
     former : names it had before, which are still read
+    everywhere : False if tables leave it out where a run has none: few models or sites have it
     """
 
     key: str
@@ -60,6 +62,7 @@ class Measure:
     digits: int = 1
     group: str = HEADLINE
     former: tuple[str, ...] = ()
+    everywhere: bool = True
 
     @property
     def numeric(self) -> bool:
@@ -131,6 +134,14 @@ def _braked(o: Outcome) -> bool | None:
     return abs(taken) > 0.0 if math.isfinite(taken) else None
 
 
+def _standing(o: Outcome, what: str) -> tuple[int, ...] | None:
+    return getattr(o.standing, what) if o.standing.cars else None
+
+
+def _standing_force(o: Outcome) -> float:
+    return float(o.car_peak_force[-o.standing.cars :].max()) if o.standing.cars else math.nan
+
+
 def _all(*measures: Measure) -> dict[str, Measure]:
     return {m.key: m for m in measures}
 
@@ -158,6 +169,15 @@ MEASURES: dict[str, Measure] = _all(
     Measure("scene_width_m", "scene width", lambda o: o.scene_width, unit="m"),
     Measure("scene_area_m2", "scene area", lambda o: o.scene_area, unit="m2",
             shown_unit="m\N{SUPERSCRIPT TWO}", digits=0),
+    Measure("cars_on_side", "cars on their side", lambda o: o.values.get("cars_on_side"), COUNT,
+            everywhere=False),
+    Measure("pile_height_m", "height of the pile", lambda o: o.values.get("pile_height_m"),
+            unit="m", everywhere=False),
+    Measure("cars_spilled", "open cars tilted beyond their load's angle of repose",
+            lambda o: o.values.get("cars_spilled"), COUNT, group=DETAIL),
+    Measure("largest_roll_rad", "largest roll", lambda o: o.values.get("largest_roll_rad"),
+            unit="rad", shown_unit="\N{DEGREE SIGN}", scale=180.0 / math.pi, digits=0,
+            group=DETAIL),
     Measure("severity", "severity (published base run: 1)", severity, digits=2),
     Measure("rear_part_first_car", "first car on the rails behind",
             lambda o: o.rear_part_first_car or None, COUNT, group=DETAIL),
@@ -185,6 +205,16 @@ MEASURES: dict[str, Measure] = _all(
             unit="m", group=DETAIL),
     Measure("train_mass_kg", "mass of the train", lambda o: o.train.mass, unit="kg",
             shown_unit="t", scale=1e-3, digits=0, group=DETAIL),
+    Measure("standing_cars", "standing cars", lambda o: o.standing.cars or None, COUNT,
+            group=DETAIL),
+    Measure("standing_struck", "standing cars struck", lambda o: _standing(o, "struck"), CARS,
+            everywhere=False),
+    Measure("standing_moved", "standing cars moved", lambda o: _standing(o, "moved"), CARS,
+            everywhere=False),
+    Measure("standing_derailed", "standing cars derailed", lambda o: _standing(o, "derailed"),
+            CARS, everywhere=False),
+    Measure("standing_peak_force_N", "largest force on a standing car", _standing_force,
+            unit="N", shown_unit="MN", scale=1e-6, digits=2, everywhere=False),
     Measure("max_draft_N", "largest draft force in the train", lambda o: o.largest("draft")[0],
             unit="N", shown_unit="MN", scale=1e-6, digits=2),
     Measure("max_draft_coupling", "in the coupling behind car",
@@ -208,6 +238,8 @@ MEASURES: dict[str, Measure] = _all(
     Measure("steps", "steps", lambda o: o.steps, COUNT, group=NUMERICS),
     Measure("rejected_steps", "rejected steps", lambda o: o.rejected_steps, COUNT,
             group=NUMERICS),
+    Measure("real_time_factor", "simulated time over computing time",
+            lambda o: o.values.get("real_time_factor"), digits=2, group=NUMERICS),
 )  # fmt: skip
 """All measures, in the order of tables and records."""
 
@@ -241,13 +273,16 @@ def outcome_record(outcome: Outcome, wall_s: float | None = None) -> Record:
             | ({"force_N": p.force} if p.force else {})
             for p in outcome.parted
         ],
+        "site": (outcome.site or SiteOutcome()).record(),
         "wall_s": finite(wall_s, 6),
     }
 
 
 def in_train(outcome: Outcome) -> Record:
     """Largest forces in the couplings: of the train, and of each coupling with its time."""
-    rows = zip(*(outcome.couplings.get(key, ()) for key in COUPLING_VALUES), strict=True)
+    told = outcome.couplings
+    values = [outcome.of_train(told[key]) if key in told else () for key in COUPLING_VALUES]
+    rows = zip(*values, strict=True)
     couplings = [
         {"coupling": k, **{key: finite(v) for key, v in zip(COUPLING_VALUES, row, strict=True)}}
         for k, row in enumerate(rows, 1)

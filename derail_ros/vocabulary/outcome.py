@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.vocabulary.site import SiteOutcome
 from derail_ros.vocabulary.status import (
     AT_REST,
     CERTAIN_RUPTURE_FORCE,
@@ -26,7 +28,7 @@ F64 = NDArray[np.float64]
 COUPLING_VALUES = ("max_draft_N", "max_draft_time_s", "max_buff_N", "max_buff_time_s")
 """Keys of :attr:`Outcome.couplings`."""
 
-PARTED_CAUSES = ("initial", "angle", "knuckle broke", "coupler body broke")
+PARTED_CAUSES = ("initial", "angle", "knuckle broke", "coupler body broke", "vertical slip")
 """Causes of a parted coupling, by their numbers in messages."""
 
 
@@ -41,6 +43,52 @@ class Parted:
     time: float
     cause: str
     force: float = 0.0
+
+
+MOVED = 0.1
+"""A standing car has moved when its mass centre lies further from where it stood, m."""
+
+
+@dataclass(frozen=True)
+class StandingOutcome:
+    """What came of the cars on second tracks: the last ``cars`` bodies, apart from the train.
+
+    Attributes
+    ----------
+    cars : how many there are
+    struck : numbers of those in a collision, with whatever car
+    moved : of those whose mass centre lies further than ``MOVED`` from where it stood
+    derailed : of those with a truck off the rails
+    """
+
+    cars: int = 0
+    struck: tuple[int, ...] = ()
+    moved: tuple[int, ...] = ()
+    derailed: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, own: int, **flags: NDArray[np.bool_]) -> StandingOutcome:
+        """From flags (N,) of all bodies, of which the first ``own`` are the train's."""
+        n = len(flags["derailed"])
+        if own >= n:
+            return cls()
+        found = {k: np.flatnonzero(v) for k, v in flags.items()}
+        told = {k: tuple(int(i) + 1 for i in v if i >= own) for k, v in found.items()}
+        return cls(n - own, **told)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As plain data."""
+        lists = {key: list(getattr(self, key)) for key in ("struck", "moved", "derailed")}
+        return {"cars": self.cars, **lists}
+
+    @property
+    def text(self) -> str:
+        """The same in a few words."""
+        parts = [len(self.struck), len(self.moved), len(self.derailed)]
+        return "{} standing: {} struck, {} moved, {} derailed".format(
+            count(self.cars, "car"), *parts
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,6 +122,9 @@ class Outcome:
         key -> (N-1,), both >= 0; {} where they are not known
     parted : couplings that parted, in the order of time
     values, car_values : further numbers by name, unit in the name; the latter (N,)
+    site : what came of it at its place; None without zones, fixed bodies and areas
+    standing : what came of cars on second tracks, whose rows are the last ones of (N,) arrays;
+        all else counts the train's own cars, and forces between two cars of which one is its own
     """
 
     status: str
@@ -106,6 +157,8 @@ class Outcome:
     parted: tuple[Parted, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     car_values: Mapping[str, F64] = field(default_factory=dict)
+    site: SiteOutcome | None = None
+    standing: StandingOutcome = StandingOutcome()
 
     @classmethod
     def nothing(cls, pose: F64, status: str, time: float, steps: int = 0) -> Outcome:
@@ -157,7 +210,11 @@ class Outcome:
         if self.derailed_cars and math.isfinite(self.scene_length):
             text += f"; scene {self.scene_length:.1f} m \N{MULTIPLICATION SIGN} "
             text += f"{self.scene_width:.1f} m"
-        return text
+        return f"{text}; {self.standing.text}" if self.standing.cars else text
+
+    def of_train(self, rows: F64) -> F64:
+        """Of one row a body, or a coupling, those of the train."""
+        return rows[: len(rows) - self.standing.cars]
 
     @property
     def final(self) -> bool:
@@ -176,7 +233,9 @@ class Outcome:
 
     def cars_above(self, level: float) -> tuple[int, ...]:
         """Car numbers whose largest single-corner force is above a level (N)."""
-        return tuple(int(i) + 1 for i in np.flatnonzero(self.car_peak_force > level))
+        return tuple(
+            int(i) + 1 for i in np.flatnonzero(self.of_train(self.car_peak_force) > level)
+        )
 
     @property
     def cars_above_5MN(self) -> tuple[int, ...]:
@@ -190,7 +249,8 @@ class Outcome:
 
     def largest(self, which: str) -> tuple[float, int, float]:
         """Largest "draft" or "buff" force (N), its coupling and when (s); nan, 0, nan without."""
-        forces = self.couplings.get(f"max_{which}_N", np.zeros(0))
+        none = np.zeros(self.standing.cars)
+        forces = self.of_train(self.couplings.get(f"max_{which}_N", none))
         if not np.any(forces > 0.0):
             return math.nan, 0, math.nan
         k = int(np.nanargmax(forces))
@@ -204,16 +264,17 @@ class Outcome:
     @property
     def first_derailment(self) -> float:
         """Run time at which the first truck left the rails, s; nan without."""
-        times = self.derail_time[np.isfinite(self.derail_time)]
+        times = self.of_train(self.derail_time)
+        times = times[np.isfinite(times)]
         return float(times.min()) if len(times) else math.nan
 
 
-def parted_couplings(events: Iterable[Event]) -> tuple[Parted, ...]:
-    """Couplings that parted, by their events."""
+def parted_couplings(events: Iterable[Event], own: int) -> tuple[Parted, ...]:
+    """Couplings of a train of ``own`` bodies that parted, by their events."""
     return tuple(
         Parted(min(e.cars), e.time, e.cause, e.value if e.cause.endswith("broke") else 0.0)
         for e in events
-        if e.kind == EventKind.COUPLER_PARTED and e.cars
+        if e.kind == EventKind.COUPLER_PARTED and e.cars and min(e.cars) < own
     )
 
 

@@ -7,8 +7,10 @@ Model of a Derailment*, PhD thesis, Queen's University, 1998) lost or never gave
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
+
+from derail_ros.vocabulary.site import SiteParams
 
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
@@ -91,7 +93,7 @@ class Car:
     name : label, e.g. the type of the car
     contents : what it carries
     locomotives, loads, empties : how many of the cars it stands for are that; a car whose load
-        is not known is none of them
+        is not known is not one of them
     coupled_length : of a virtual body, the length over couplers of the cars it stands for, m
     resistance : ``r0, r1, r2`` of its resistance ``r0 + r1 v + r2 v^2``, N, N s/m, N s^2/m^2
     tractive_effort, dynamic_brake : of a locomotive: largest effort over speed, (m/s, N) rising
@@ -412,6 +414,8 @@ class DerailmentParams:
     lv_limit : derailment quotient: a truck leaves the rails when ``|lambda| > LV m g / 2``
     lv_hold : for so long it must be exceeded, s; 0: at once. The 50 ms of AAR's chapter 11 keep
         out blows that are too short for a wheel to climb
+    truck_play : how far a truck moves sideways from the middle until it bears on the rail, m; in
+        buff coupled cars stand askew by it (``engine.forces.track``); 0: they stand straight
     guide_strength : force across the track with which rails guide a derailed truck at most, N;
         0: they do not (``engine.forces.guidance``)
     guide_stiffness, guide_play : of the rail, N/m; offset from which it guides, m; assumed
@@ -427,6 +431,7 @@ class DerailmentParams:
     knuckle_limit_ff: float = 0.71
     knuckle_limit_ef: float = 0.80
     lv_hold: float = field(default=0.0, metadata=LATER)
+    truck_play: float = field(default=0.0, metadata=LATER)
     guide_strength: float = field(default=0.0, metadata=LATER)
     guide_stiffness: float = field(default=2e6, metadata=LATER)
     guide_play: float = field(default=0.6, metadata=LATER)
@@ -445,7 +450,8 @@ class IntegrationParams:
     baumgarte_velocity, baumgarte_position : ``a`` (1/s) and ``b`` (1/s^2) [R]
     locate_crossings : find break crossings, lateral derailments and coupling failures inside the
         step; False gives the source's form, tested only at the ends of steps
-    buffer_fraction : no corner moves further than this share of the buffer in one step
+    buffer_fraction : no corner of a car that may turn moves further than this share of the buffer
+        in one step; near another body not as that body sees it either
     max_step, min_step : s
     rest_speed, rest_yaw_rate, rest_hold : the run ends when all cars have been slower than this
         (m/s, rad/s) for that long (s) [R]
@@ -487,8 +493,35 @@ class VariantParams:
 
 
 @dataclass(frozen=True)
+class SecondTrack:
+    """A track beside the main one: its centre line, level, without breaks in its rails."""
+
+    name: str
+    line: TrackParams
+
+
+@dataclass(frozen=True)
+class StandingCut:
+    """Coupled cars that stand at the start, without a brake pipe under pressure.
+
+    Attributes
+    ----------
+    track : row of ``TrainParams.tracks``
+    position : coordinate of the first car's mass centre there, m; the others stand behind it
+    cars : how many
+    """
+
+    track: int
+    position: float
+    cars: int
+
+
+@dataclass(frozen=True)
 class TrainParams:
-    """Everything a run is built from; ``model`` names the engine that computes it."""
+    """Everything a run is built from; ``model`` names the engine that computes it.
+
+    ``cars`` are the train's own, then those of the cuts in ``standing``, in their order.
+    """
 
     cars: tuple[Car, ...]
     initiation: InitiationParams
@@ -502,3 +535,22 @@ class TrainParams:
     model: str = field(default=PLANAR, metadata=LATER)
     traction: TractionParams = field(default_factory=TractionParams, metadata=LATER)
     couplings: CouplingParams = field(default_factory=CouplingParams, metadata=LATER)
+    site: SiteParams = field(default_factory=SiteParams, metadata=LATER)
+    tracks: tuple[SecondTrack, ...] = field(default=(), metadata=LATER)
+    standing: tuple[StandingCut, ...] = field(default=(), metadata=LATER)
+
+    @property
+    def n_train(self) -> int:
+        """Number of the train's own bodies."""
+        return len(self.cars) - sum(cut.cars for cut in self.standing)
+
+    @property
+    def cut_numbers(self) -> tuple[int, ...]:
+        """For each car the number of its cut of standing cars, from 1; 0 for the train's own."""
+        sizes = (self.n_train, *(cut.cars for cut in self.standing))
+        return tuple(number for number, size in enumerate(sizes) for _ in range(size))
+
+    @property
+    def alone(self) -> TrainParams:
+        """The train without what stands on second tracks."""
+        return replace(self, cars=self.cars[: self.n_train], tracks=(), standing=())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -123,15 +124,20 @@ class Sample:
         """Number of bodies N."""
         return len(self.pose)
 
+    @functools.cached_property
+    def quaternions(self) -> F64:
+        """(N, 4) orientation of the cars: x, y, z, w."""
+        return quaternions(self.pose)
+
     @property
     def axial_force(self) -> F64:
         """(N-1,) coupling force along the train, N: draft positive, buff negative; 0 once parted.
 
         The force of the car behind on the car ahead, along the line from it to the car behind.
         """
-        line = np.diff(self.pose[:, :2], axis=0)
-        size = np.hypot(*line.T)
-        along = (self.coupler_force * line).sum(axis=1)
+        line = self.pose[1:, :2] - self.pose[:-1, :2]
+        size = np.hypot(line[:, 0], line[:, 1])
+        along = self.coupler_force[:, 0] * line[:, 0] + self.coupler_force[:, 1] * line[:, 1]
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
 
     @property
@@ -187,3 +193,23 @@ def planar(values: F64) -> F64:
     full = np.zeros((len(values), 6))
     full[:, [0, 1, 5]] = values[:, :3]
     return full
+
+
+def quaternions(pose: F64) -> F64:
+    """(N, 4) quaternions x, y, z, w of poses (N, 6) that end with roll, pitch, yaw (rad)."""
+    half = 0.5 * pose[:, 3:6]
+    sine, cosine = np.sin(half), np.cos(half)
+    if not half[:, :2].any():
+        flat = np.zeros((len(pose), 4))
+        flat[:, 2], flat[:, 3] = sine[:, 2], cosine[:, 2]
+        return flat
+    (sr, sp, sy), (cr, cp, cy) = sine.T, cosine.T
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=-1,
+    )

@@ -224,10 +224,12 @@ class Engine(Protocol):
     Attributes
     ----------
     name : of the model, as in ``model:`` of a scenario
+    words : what it is, in a few words
     features : what it can do, of :data:`FEATURES`
     """
 
     name: ClassVar[str]
+    words: ClassVar[str]
     features: ClassVar[frozenset[str]]
 
     def build(self, params: TrainParams) -> Simulation:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 
 from derail_ros.engine import PlanarSimulation
 from derail_ros.scenario import load_scenario_by_name
+from derail_ros.vocabulary.site import Area, FixedBody, GroundZone
 from msg_adapters import markers as M
 from msg_adapters import reports
 from msg_adapters.common import RunContext
@@ -147,6 +151,92 @@ def test_the_track_is_drawn_with_its_breaks_and_clears_the_old_one() -> None:
     assert abs(along) < 1e-6
     assert across - 0.5 * label.scale.z > 0.5 * M.BED_WIDTH
     assert len(found["track_bed", 0].points) % 3 == 0
+
+
+def test_what_stands_beside_the_track_is_drawn_with_its_name() -> None:
+    params = load_scenario_by_name("cars_on_a_siding").to_params()
+    params = dataclasses.replace(
+        params,
+        site=dataclasses.replace(
+            params.site,
+            zones=(GroundZone("bog", ((0, 9), (40, 9), (40, 20)), 1.0, 1.0, 0.01, 0.0),),
+            fixed=(FixedBody("wall", ((-20, -6), (0, -6), (20, -8)), beside=True),),
+            areas=(Area("road", ((0, 30), (50, 30)), closed=False),),
+        ),
+    )
+    sim = PlanarSimulation(params)
+    s = reports.track_coordinates(sim.track, sim.sample().truck_coordinate)
+    track = reports.track(sim.track, s, [], CONTEXT)
+    shapes = params.site.shapes(sim.track)
+    assert [shape.name for shape in shapes] == ["bog", "wall", "road", "siding"]
+    found = decode(M.track_markers(track, CONTEXT, site=shapes))
+    assert [found["site_labels", k].text for k in range(4)] == ["bog", "wall", "road", "siding"]
+    ring = [(p.x, p.y) for p in found["zone", 0].points]
+    assert ring == [(0, 9), (40, 9), (40, 20), (0, 9)]
+    wall = found["fixed", 1]
+    assert wall.type == M.TRIANGLE_LIST and len(wall.points) == 6 * 2
+    assert {p.z for p in wall.points} == {0.1, M.WALL_HEIGHT}
+    assert len(found["area", 2].points) == 2
+    left, right = (found["second_rails", 6 + k].points for k in (0, 1))
+    assert {p.y for p in left} == {4.5 + 0.5 * M.GAUGE}
+    assert {p.y for p in right} == {4.5 - 0.5 * M.GAUGE}
+    labels = decode(M.MarkerEncoder(params, CONTEXT)(sim.sample(), np.zeros(sim.n_cars)))
+    assert labels["labels", 40].text == "40"
+    assert labels["labels", 41].text == "41 (not of the train)"
+    color = labels["cars", 41].color
+    assert (color.r, color.g, color.b) == pytest.approx(M.STANDING)
+
+
+def faults(marker: Any) -> list[str]:
+    """What RViz refuses or warns of (marker displays of rviz_default_plugins)."""
+    kind, size, points = marker.type, marker.scale, marker.points
+    turn = marker.pose.orientation
+    numbers = [p for point in points for p in (point.x, point.y, point.z)]
+    place = marker.pose.position
+    rules = {
+        "a number is not finite": np.isfinite([*numbers, place.x, place.y, place.z]).all(),
+        "the quaternion has another length than 1": abs(
+            np.hypot(np.hypot(turn.x, turn.y), np.hypot(turn.z, turn.w)) - 1.0
+        )
+        < 1e-3,
+        "no frame, or one with a slash in front": marker.header.frame_id.strip("/")
+        == marker.header.frame_id
+        != "",
+        "it cannot be seen": marker.color.a > 0.0,
+        "a colour is not from 0 to 1": all(
+            0.0 <= c <= 1.0 for c in (marker.color.r, marker.color.g, marker.color.b)
+        ),
+        "colours are not those of the points": len(marker.colors) in (0, len(points)),
+    }
+    if kind in (M.CUBE, M.TRIANGLE_LIST):
+        rules["scale of 0 in one of x/y/z"] = min(size.x, size.y, size.z) > 0.0
+    if kind == M.TEXT:
+        rules["no text"] = bool(marker.text.strip()) and size.z > 0.0
+    if kind in (M.LINE_LIST, M.LINE_STRIP):
+        rules["no width"] = size.x > 0.0
+    if kind == M.ARROW:
+        rules["an arrow has two points"] = len(points) == 2 and size.x + size.y > 0.0
+    if kind in (M.LINE_LIST, M.LINE_STRIP, M.TRIANGLE_LIST):
+        per = {M.LINE_LIST: 2, M.LINE_STRIP: 1, M.TRIANGLE_LIST: 3}[kind]
+        rules["number of points"] = len(points) >= 2 and len(points) % per == 0
+    return [rule for rule, kept in rules.items() if not kept]
+
+
+def test_rviz_takes_every_marker(moments: list) -> None:
+    sim = simulation()
+    coordinates = reports.track_coordinates(sim.track, sim.sample().truck_coordinate)
+    track = reports.track(sim.track, coordinates, [(5.0, 0.0), (20.0, 1.0)], CONTEXT, 1.0)
+    sample, peak, _ = moments[-1]
+    apart = dataclasses.replace(sample, coupled=np.zeros_like(sample.coupled))
+    all_parted = decode(M.MarkerEncoder(sim.params, CONTEXT)(apart, peak))
+    assert all_parted["couplers", 0].action == M.DELETE
+    for found in (
+        *(m for _, _, m in moments),
+        decode(M.track_markers(track, CONTEXT)),
+        all_parted,
+    ):
+        added = [m for m in found.values() if m.action == M.ADD]
+        assert added and not [(m.ns, m.id, faults(m)) for m in added if faults(m)]
 
 
 def test_a_message_that_only_clears() -> None:

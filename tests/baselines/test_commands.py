@@ -15,8 +15,9 @@ from derail_ros.vocabulary.measures import MEASURES
 SMALL = ("--set", "train.consist.0.count=10", "--set", "train.speed_kmh=30")
 
 
-KEYS = ["schema", "schema_version", "scenario", "title", "hash", "seed", "members", "void",
-        "failed", "outcomes", "mean", "sd", "model", "notes", "warnings"]  # fmt: skip
+KEYS = ["schema", "schema_version", "scenario", "title", "hash", "constants", "one_draw", "seed",
+        "members", "void", "failed", "outcomes", "mean", "sd", "site", "model", "notes",
+        "warnings", "limits", "inputs"]  # fmt: skip
 
 
 @pytest.fixture
@@ -40,7 +41,15 @@ def test_simulate_with_every_model(derail, model):
     outcome = answer.json["outcomes"][0]
     assert outcome["cars_derailed"] > 0
     assert answer.json["model"] == model
-    assert list(outcome) == [*MEASURES, "train", "energy_J", "in_train", "parted", "wall_s"]
+    assert list(outcome) == [
+        *MEASURES,
+        "train",
+        "energy_J",
+        "in_train",
+        "parted",
+        "site",
+        "wall_s",
+    ]
     assert list(answer.json) == KEYS
 
 

@@ -346,10 +346,14 @@ def test_the_published_bar_is_driven():
     assert run.record["status"] == "whole train derailed"
 
 
+SPATIAL = {"cars_on_side", "cars_spilled", "largest_roll_rad", "pile_height_m", "real_time_factor"}
+STANDING = {f"standing_{k}" for k in ("cars", "struck", "moved", "derailed", "peak_force_N")}
 UNKNOWN = {
-    "planar": set(),
-    "yang-manos": {"peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
-                   "cars_above_5MN", "cars_above_10MN", "severity", "share_collisions"},
+    "planar": SPATIAL | STANDING,
+    "yang-manos": SPATIAL | STANDING | {
+        "peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
+        "cars_above_5MN", "cars_above_10MN", "severity", "share_collisions",
+    },
 }  # fmt: skip
 UNKNOWN["anderson"] = UNKNOWN["yang-manos"] - {"share_collisions"} | {
     "max_coupler_gap_m", "max_truck_offset_m", "max_draft_N", "max_draft_coupling", "max_buff_N",

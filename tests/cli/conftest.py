@@ -7,6 +7,7 @@ import pytest
 
 SMALL = """\
 version: 1
+constants: published
 title: A short train
 train:
   speed_kmh: 25

@@ -66,8 +66,13 @@ def test_one_run_as_json(derail, small):
 def test_one_run_as_a_table(derail, small):
     answer = derail("simulate", small)
     assert answer.code == 0
-    for words in ("A short train", "cars derailed", "largest force (MN)", "stopped by"):
-        assert words in answer.out
+    rows = [line.strip(" │┃") for line in answer.out.splitlines()]
+    leading = ("cars derailed", "scene length", "time to rest", "stopped by", "car to look at")
+    rest = ("largest force (MN)", "severity")
+    places = [next(k for k, row in enumerate(rows) if row.startswith(w)) for w in leading + rest]
+    assert places == sorted(places)
+    assert "A short train" in answer.out and "energy imbalance" not in answer.out
+    assert "energy imbalance" in derail("simulate", small, "--verbose").out
 
 
 def test_settings_change_the_run(derail, small):
@@ -341,6 +346,44 @@ def test_the_sentence_of_a_run_that_was_cut_off(small):
 
 def test_the_answer_says_which_run_of_an_ensemble_was_recorded(derail, small, tmp_path):
     answer = derail("simulate", small, "-n", 2, "-o", tmp_path / "out")
-    assert "recording and figures of member 0" in answer.out
+    assert "recording, scene and forces of member 0" in answer.out
     alone = derail("simulate", small, "-o", tmp_path / "alone")
     assert "member 0" not in alone.out
+
+
+UNCERTAIN = """\
+uncertain:
+  train.speed_kmh: {uniform: [20, 30]}
+  train.consist.*.mass_kg: {normal: {mean: 1, sd: 0.05}, relative: true}
+"""
+
+
+def test_members_are_kept_with_what_they_drew(derail, small, tmp_path):
+    """The same members whatever -j; cells of the map are covered as often as the poses say."""
+    from derail_ros.scenario import load_scenario
+
+    path = Path(small)
+    path.write_text(path.read_text(encoding="utf-8") + UNCERTAIN, encoding="utf-8")
+    folder = tmp_path / "kept"
+    answer = derail("simulate", small, "--ensemble", 6, "-j", 2, "-o", folder, "--json")
+    assert answer.code == 0, answer.err
+    again = derail("simulate", small, "--ensemble", 6, "-j", 1, "--json")
+    assert physics(again.json["mean"]) == physics(answer.json["mean"])
+    scenario = load_scenario(small)
+    assert answer.json["inputs"] == [scenario.member_inputs(m) for m in range(6)]
+    assert 20 <= answer.json["inputs"][4]["train.speed_kmh"] <= 30
+    with (folder / "outcomes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[2]["train.speed_kmh"]) == answer.json["inputs"][2]["train.speed_kmh"]
+    kept = np.load(folder / "poses.npz")
+    assert kept["pose"].shape == (6, 6, 6)
+    off = [r["cars_derailed"] for r in answer.json["outcomes"]]
+    assert kept["derailed"].sum(axis=1).tolist() == off
+    covered = json.loads((folder / "covered.geojson").read_text())
+    areas = {}
+    for feature in covered["features"]:
+        told = feature["properties"]
+        areas[told["probability"]] = areas.get(told["probability"], 0.0) + told["area_m2"]
+    assert areas[0.05] > areas[0.5] > areas.get(0.95, 0.0)
+    for name in ("covered.png", "histograms.png"):
+        assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

@@ -13,6 +13,7 @@ from derail_ros.engine.laws.brake import composition_factor
 from derail_ros.engine.laws.effort import effort_at
 from derail_ros.engine.laws.resistance import resistance
 from derail_ros.engine.track import Track
+from derail_ros.scenario import loads_scenario
 from derail_ros.scenario.resolve import fcalc
 from derail_ros.vocabulary.errors import ParameterError
 from derail_ros.vocabulary.params import (
@@ -197,6 +198,23 @@ def test_curve_resistance():
     lost = speeds[0] - speeds[1]
     assert lost == pytest.approx(10.0 * 7.0 / radius, rel=2e-3)  # 7 m / R over m
     assert run.sample().cars["resistance_N"] == pytest.approx(7.0 * 68e3 / radius, rel=1e-3)
+
+
+def test_a_locomotive_of_the_library_pulls_and_brakes_by_its_curves():
+    text = """
+version: 1
+title: two SD70ACe and ten cars
+train:
+  speed_kmh: 60
+  consist: [{car: locomotive_sd70ace, count: 2}, {car: covered_hopper_286k, count: 10}]
+initiation: {await_command: true, lateral_force_N: 0}
+brakes: {signal_source: none}
+traction: {notch: 4, schedule: [{time_s: 0, notch: -8, cars: [2]}]}
+"""
+    force = PlanarSimulation(loads_scenario(text).to_params()).sample().cars["locomotive_force_N"]
+    # of modern_locomotives.yaml at 60 km/h: 161.6 kN and 250.7 kN
+    assert force[:2] == pytest.approx([0.5 * 161.6e3, -250.7e3], rel=1e-6)
+    assert not force[2:].any()
 
 
 def test_an_emergency_cuts_the_power_of_each_locomotive_as_its_signal_arrives():

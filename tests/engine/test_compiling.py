@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from numba.core import types
 
-from derail_ros.engine import compiling
+from derail_ros.engine import compiling, jit
 from derail_ros.engine.compiling import KernelCompiler, forget_constants
 
 OPTIONS = {"error_model": "numpy", "pipeline_class": KernelCompiler}
@@ -87,3 +87,39 @@ def test_another_numba_compiles_as_it_does(monkeypatch):
     assert njit(**OPTIONS)(arithmetic)(np.ones(3), 1) == arithmetic(np.ones(3), 1)
     # what has no such method is handed back
     assert forget_constants(arithmetic) is arithmetic
+
+
+def test_a_kernel_has_an_entry_only_where_python_calls_it(monkeypatch):
+    monkeypatch.setattr(jit, "CAN_KEEP", False)
+    called = jit.jit(lambda x: x + 1.0)
+    caller = jit.jit(lambda x: 2.0 * called(x))
+    assert caller(2.0) == 6.0
+    assert caller.signatures == [(types.float64,)]
+    assert called.signatures == []
+    assert called(2.0) == 3.0
+    assert called.signatures == [(types.float64,)]
+    # a user's own kernel takes the one behind the entry
+    assert njit(lambda x: called(x) - 1.0)(5.0) == 5.0
+
+
+def test_separate_kernels_are_linked_once_below_what_python_calls(monkeypatch):
+    monkeypatch.setattr(jit, "CAN_KEEP", False)
+    finished = []
+    optimize = compiling.KernelLibrary._optimize_final_module
+
+    def counted(self):
+        optimize(self)
+        bodies = [f.name for f in self._final_module.functions if not f.is_declaration]
+        finished.append(sum("stands_alone" in name for name in bodies))
+
+    monkeypatch.setattr(compiling.KernelLibrary, "_optimize_final_module", counted)
+
+    def stands_alone(x):
+        jit.keep_separate()
+        return x * x
+
+    called = jit.inner_jit(stands_alone)
+    between = jit.inner_jit(lambda x: called(x) + called(2.0 * x))
+    assert jit.jit(lambda x: between(x) + called(3.0 * x))(1.0) == 14.0
+    # its code is in its own module alone while kernels are optimized
+    assert finished == [1, 0, 0, 0]

@@ -145,12 +145,12 @@ def test_a_gear_stands_under_its_load():
     # between the lines the gear is elastic: what is left is a small oscillation about the load
     half = len(forces) // 2
     load = [j * M * 9.81 * rise for j in (5, 4, 3, 2, 1)]
-    assert np.mean(forces[half:], axis=0) == pytest.approx(load, rel=0.05)
+    assert np.mean(forces[half:], axis=0) == pytest.approx(load, rel=0.01)
     early, late = (
         np.mean(travels[half : -half // 2], axis=0),
         np.mean(travels[-half // 2 :], axis=0),
     )
-    assert late == pytest.approx(early, abs=1.5e-3)
+    assert late == pytest.approx(early, abs=0.5e-3)
     assert late.min() > 0.025
 
 

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from derail_ros.engine import PlanarSimulation, layout
 from derail_ros.engine.interpolation import hermite
 from derail_ros.engine.methods import METHODS
+from derail_ros.engine.neighbours import rebuild
 from derail_ros.vocabulary.params import GroundParams, LateralForce
 from tests.engine.support import (
     NO_CONTACT,
@@ -18,6 +20,7 @@ from tests.engine.support import (
     make_train,
     mixed_cars,
     propose,
+    start,
     steps_of,
     tight,
     with_integration,
@@ -180,6 +183,25 @@ def test_samples_at_both_ends_of_a_step_are_its_ends():
         run.sample(run.time + 1e-3)
 
 
+def corners_of(run):
+    """(N, 4, 2) corners of all cars, as rows of the plane."""
+    q = run.sample().q
+    c, s = np.cos(q[:, 2])[:, None], np.sin(q[:, 2])[:, None]
+    u, w = [
+        np.array([[m * getattr(car, name) / 2 for m in signs] for car in run.params.cars])
+        for name, signs in (("length", (1, 1, -1, -1)), ("width", (1, -1, 1, -1)))
+    ]
+    return np.stack([q[:, :1] + c * u - s * w, q[:, 1:2] + s * u + c * w], axis=2)
+
+
+def seen_from(run, points):
+    """(N, N, 4, 2) corners of each car (second index) as each car (first) sees them, m."""
+    q = run.sample().q
+    c, s = (f(q[:, 2])[:, None, None] for f in (np.cos, np.sin))
+    d = points[None] - q[:, None, None, :2]
+    return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0]], axis=-1)
+
+
 @pytest.mark.parametrize("method", ORDER)
 def test_no_corner_moves_further_than_its_share_of_the_buffer(method):
     params = with_integration(
@@ -187,21 +209,72 @@ def test_no_corner_moves_further_than_its_share_of_the_buffer(method):
                    lateral=(LateralForce(),)), method=method,
     )  # fmt: skip
     run = kicked(params, seed=2)
-    cars = params.cars
-    corners = np.array([[(a * c.length / 2, b * c.width / 2) for a in (1, -1) for b in (1, -1)]
-                        for c in cars])  # fmt: skip
-
-    def places():
-        q = run.sample().q
-        c, s = np.cos(q[:, 2])[:, None], np.sin(q[:, 2])[:, None]
-        u, w = corners[:, :, 0], corners[:, :, 1]
-        return np.stack([q[:, :1] + c * u - s * w, q[:, 1:2] + s * u + c * w], axis=2)
-
-    last = places()
+    last = corners_of(run)
     farthest = 0.0
     for _ in steps_of(run, 3.0):
-        now = places()
+        now = corners_of(run)
         farthest = max(farthest, np.hypot(*np.moveaxis(now - last, 2, 0)).max())
         last = now
     # the speed at the step's beginning decides: braking or a push change it a little
     assert 0.1 < farthest < 0.2 * 0.8 * 1.02
+
+
+@pytest.mark.parametrize("method", ORDER)
+def test_no_corner_passes_its_share_of_the_buffer_near_another_body(method):
+    params = free_train(2, speed=0.0, parted=(1,))
+    q = np.zeros((2, 5))
+    v = np.zeros((2, 5))
+    # a car comes from 13 m away, and turns; the other one has stood still
+    q[1] = (-30.0, 1.0, 0.2, 0.2, 0.2)
+    v[1] = (15.0, 0.0, 0.3, 0.3, 0.3)
+    run = start(with_integration(params, method=method), q, v)
+    half = np.array([(car.length / 2, car.width / 2) for car in params.cars])[:, None, None]
+    near = ~np.eye(2, dtype=bool)[:, :, None]
+    last = seen_from(run, corners_of(run))
+    farthest = 0.0
+    for _ in steps_of(run, 3.0):
+        now = seen_from(run, corners_of(run))
+        gap = np.max(np.abs(last) - half, axis=-1)
+        moved = np.hypot(*np.moveaxis(now - last, -1, 0))
+        # further away than half of the buffer a corner may come as much closer
+        moved -= np.maximum(gap - 0.5 * 0.8, 0.0)
+        farthest = max(farthest, moved[near.repeat(4, 2)].max())
+        last = now
+    # the speed at the step's beginning decides: braking or a push change it a little
+    assert 0.1 < farthest < 0.2 * 0.8 * 1.02
+    assert run.collisions
+
+
+def test_a_train_that_moves_as_one_takes_the_longest_steps():
+    run = PlanarSimulation(make_train(6, speed=30.0))
+    run.advance_to(2.0)
+    assert run.step_size == pytest.approx(run.params.integration.max_step)
+    assert run.statistics["limited_by_cap"] == 0
+
+
+def test_no_pair_that_touches_is_left_out():
+    """The pairs that a step has looked at give the forces that all pairs of the train give."""
+    rng = np.random.default_rng(3)
+    q, v = np.zeros((2, 9, 5))
+    for i in range(9):  # free cars, thrown together
+        row, column = i // 3 - 1, i % 3 - 1
+        q[i] = (18.0 * row, 4.0 * column, *[rng.normal(0.0, 0.05)] * 3)
+        v[i] = (-6.0 * row, -3.0 * column, *[rng.normal(0.0, 0.3)] * 3)
+    params = free_train(9, speed=0.0, parted=range(1, 9), ground=GroundParams())
+    run = start(params, q, v)
+    touched = 0
+    for _ in steps_of(run, 3.0):
+        own = run._state.power[layout.E_COLLISION]
+        other = run.copy()
+        other._state.built[:] = np.nan
+        other._state.cnt["pairs"] = 0
+        other._grow_until(rebuild(other._model, other._state, other._work))
+        other._state.mask[...] = 0
+        for p, (i, j) in enumerate(other._state.pairs[: other._state.cnt["pairs"][0]]):
+            mine = np.flatnonzero((run._state.pairs == (i, j)).all(axis=1))
+            if len(mine):
+                other._state.mask[p] = run._state.mask[mine[0]]
+        other._evaluate()
+        assert other._state.power[layout.E_COLLISION] == pytest.approx(own, rel=1e-9, abs=1e-3)
+        touched += own != 0.0
+    assert touched > 20

@@ -8,6 +8,7 @@ import pytest
 
 from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.methods import METHODS
+from derail_ros.scenario import loads_scenario
 from derail_ros.vocabulary.params import (
     BrakeParams,
     BrakeTrigger,
@@ -224,6 +225,57 @@ def test_the_ledger_balances(track, method):
     assert e["stabilization_gross"] < 1e-3 * e["initial"]
     assert outcome.max_coupler_gap < 1e-9
     assert outcome.max_truck_offset < 1e-9
+
+
+ALL_AT_ONCE = """
+version: 1
+title: all that can be on, at once
+train:
+  speed_kmh: 60
+  consist:
+    - {car: locomotive_sd70ace, count: 2}
+    - {car: covered_hopper_286k, count: 8}
+    - {car: boxcar_50ft_286k, load: empty, count: 4, brake: {hand_brake: true}}
+    - {car: boxcar_50ft_286k, load: empty, count: 4, brake: {cut_out: true}}
+    - {car: locomotive_sd70ace}
+    - {car: well_car_53ft_3_unit, count: 2}
+    - {car: covered_hopper_286k, count: 6, brake: {empty_load_device: false}}
+track:
+  start_coordinate_m: -600
+  start_x_m: -600
+  alignment:
+    - tangent: {length_m: 600}
+    - spiral: {length_m: 60, degree_of_curve_end: 6, turn: left}
+    - curve: {length_m: 900, degree_of_curve: 6, turn: left}
+    - tangent: {length_m: 900}
+  rail_breaks: [220]
+  grades: [{grade_percent: 1.0}, {from_m: 200, grade_percent: -1.5, vertical_curve_m: 100}]
+  curve_resistance_m2_per_s2: 7
+initiation: {position_m: 80, lateral_force_car: 5}
+resistance: {law: fcalc}
+traction:
+  notch: 8
+  keep_dynamic: true
+  response_time_s: 4
+  schedule: [{time_s: 2, notch: -4, cars: [19]}]
+brakes: {law: braking_ratio, system: distributed_power, signal_source: none, vent_on_parting: true}
+couplers:
+  draft_gear: {start: middle}
+  knuckle_strength_N: 2.89e6
+  body_strength_N: 4.0e6
+  weak: [{coupling: 12, strength_N: 1.0e6}]
+derailment: {lv_limit: 0.8, lv_hold_s: 0.05, truck_play_m: 0.03, guide_strength_N: 200e3}
+"""
+
+
+def test_the_ledger_balances_with_everything_on():
+    outcome = PlanarSimulation(loads_scenario(ALL_AT_ONCE).to_params()).run()
+    assert outcome.energy_residual < 1e-3
+    for key in ("traction", "dynamic_brake", "resistance", "brakes", "draft_gear_friction",
+                "ground_trucks", "collisions", "knuckles_released"):  # fmt: skip
+        assert outcome.energy[key] > 1e4, key
+    assert abs(outcome.energy["guidance"]) > 1e3 and abs(outcome.energy["potential"]) > 1e5
+    assert outcome.cars_derailed > 3 and {p.cause for p in outcome.parted} > {"angle"}
 
 
 # Rest ------------------------------------------------------------------------------------------

@@ -220,3 +220,24 @@ def test_an_edited_law_changes_the_run(tree, tmp_path):
     # the old source finds its own kernels again
     edit(tree, "laws/ground.py", "c_d + 2.0 * c_v * v", "c_d + c_v * v")
     assert python(tree, RUN, cache, timeout=900) == first
+
+
+def test_equal_sources_share_their_kernels_wherever_they_are(tmp_path):
+    """The content of a file decides where a kernel is found, neither its path nor its time."""
+
+    def place(name, text):
+        path = tmp_path / name / "law.py"
+        path.parent.mkdir()
+        path.write_text(text)
+        os.utime(path, (1e9 + len(name), 1e9))
+        scope = {"__name__": "some.law"}
+        exec(compile(text, path, "exec"), scope)
+        found = jit._Locator.from_function(scope["force"], str(path))
+        return found.get_cache_path(), found.get_disambiguator(), found.get_source_stamp()
+
+    law = "def force(x):\n    return 2.0 * x\n"
+    here = place("here", law)
+    assert place("elsewhere", law) == here
+    edited = place("edited", law.replace("2.0", "3.0"))
+    assert edited[:2] == here[:2] and edited[2] != here[2]
+    assert jit._Locator.from_function(place, str(tmp_path / "nowhere.py")) is None

@@ -55,7 +55,7 @@ print(resident() - before)
 def grown(code):
     """Bytes, from a process of its own."""
     if not sys.platform.startswith("linux"):
-        pytest.skip("reads /proc")
+        pytest.skip("memory is read from /proc, which only Linux has")
     done = subprocess.run(
         [sys.executable, "-c", RESIDENT + code], capture_output=True, text=True, check=False
     )

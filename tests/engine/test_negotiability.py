@@ -170,11 +170,10 @@ def check_pair(a, b):
         assert derailed == 0
 
 
-def test_every_car_of_the_library_beside_the_longest_and_the_shortest():
+def test_every_car_of_the_library_behind_the_longest():
     cars = library()
     for car_ in cars:
         check_pair(cars[0], car_)
-        check_pair(car_, cars[-1])
 
 
 @pytest.mark.slow

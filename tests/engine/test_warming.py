@@ -28,7 +28,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_messages_only_when_compiling(folder, monkeypatch, capsys):
     compiled = []
-    monkeypatch.setattr(warming, "_exercise", lambda wait: compiled.append(1))
+    monkeypatch.setattr(warming, "_exercise", lambda: compiled.append(1))
     warming.ensure_compiled()
     said = capsys.readouterr()
     assert said.out == ""
@@ -53,7 +53,7 @@ def test_a_second_process_waits_and_does_not_compile(folder, monkeypatch):
         "time.sleep(0.5)\n"
         "(folder / 'complete').touch()\n"
     )
-    monkeypatch.setattr(warming, "_exercise", lambda wait: pytest.fail("compiled"))
+    monkeypatch.setattr(warming, "_exercise", lambda: pytest.fail("compiled"))
     other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     with other:
         assert other.stdout.readline() == "held\n"
@@ -65,7 +65,7 @@ def test_a_second_process_waits_and_does_not_compile(folder, monkeypatch):
 def test_a_folder_that_cannot_be_written(folder, monkeypatch):
     compiled = []
     monkeypatch.setattr(warming, "CACHE_DIR", folder / "missing")
-    monkeypatch.setattr(warming, "_exercise", lambda wait: compiled.append(1))
+    monkeypatch.setattr(warming, "_exercise", lambda: compiled.append(1))
     warming.ensure_compiled(lambda text: None)
     assert compiled == [1]
 
@@ -74,17 +74,16 @@ def test_a_folder_that_cannot_be_written(folder, monkeypatch):
 def test_if_the_compiling_process_is_killed_another_takes_over(tmp_path):
     go = tmp_path / "go"
     code = f"""
-import contextlib, os, time
+import os, time
 from pathlib import Path
 from derail_ros.engine import warming
 
-def exercise(wait):
+def exercise():
     print("compiles", flush=True)
     while not Path({str(go)!r}).exists():
         time.sleep(0.01)
 
 warming.CACHE_DIR = Path({str(tmp_path)!r})
-warming._second_process = lambda: contextlib.nullcontext(lambda: None)
 warming._exercise = exercise
 warming.ensure_compiled(lambda text: print(text.split()[0], flush=True))
 print("ready", flush=True)
@@ -125,24 +124,6 @@ print("ready", flush=True)
             process.wait()
 
 
-@linux
-def test_the_second_process_ends_with_the_first(tmp_path):
-    code = """
-import time
-from derail_ros.engine import warming
-warming.compile_stepping = lambda: (print("begun", flush=True), time.sleep(600))
-warming.be_second_process()
-"""
-    process = subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    with process:
-        assert process.stdout.readline() == b"begun\n"
-        assert process.poll() is None
-        process.stdin.close()  # as the system does for whoever is killed
-        assert process.wait(60) == 1
-
-
 def test_what_cannot_be_kept_is_said_and_compiled(folder, monkeypatch):
     compiled, said = [], []
     monkeypatch.setattr(warming, "CAN_KEEP", False)
@@ -175,23 +156,3 @@ def test_stale_folders_go_unless_in_use(tmp_path):
     assert {f.name for f in tmp_path.iterdir()} == {
         "something else", *(f"{FOLDER_PREFIX}{name}" for name in ("own", "held", "recent"))
     }  # fmt: skip
-
-
-def test_the_second_process_compiles_what_the_first_then_uses(tmp_path):
-    # signatures that `advance` does not call with would be compiled for nothing
-    code = (
-        "from derail_ros.engine import warming, runge_kutta\n"
-        "warming._ready.set()\n"
-        "warming.compile_stepping()\n"
-        "warming._exercise(warming.compile_stages)\n"
-        "for kernel in (runge_kutta.take_stages, *(k for k, _ in warming.stepping())):\n"
-        "    assert len(kernel.signatures) == 1, kernel\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
-
-
-def test_one_core_compiles_alone(monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: pytest.fail("a second process"))
-    with warming._second_process() as wait:
-        wait()

@@ -15,13 +15,15 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from derail_msgs import srv
 from derail_ros.nodes.domain import free_domain
-from msg_adapters.topics import STATE_TOPICS, TOPICS, rclpy_class, rclpy_qos
+from msg_adapters.topics import LIVE_TOPICS, STATE_TOPICS, TOPICS, rclpy_class, rclpy_qos
+from tests.nodes.forks import Fork, parent
 
 LIMIT = 120.0
 """Wall time after which a test gives up waiting, s: generous, for machines that are busy."""
@@ -63,10 +65,17 @@ def ros_value(value: Any) -> str:
 
 
 class Process:
-    """A node as a process of its own."""
+    """A node as a process of its own; ``forked`` without a cold start, see ``forks``."""
 
-    def __init__(self, module: str, env: dict[str, str], log: Path, *arguments: str) -> None:
+    def __init__(
+        self, module: str, env: dict[str, str], log: Path, *arguments: str, forked: bool = False
+    ) -> None:
         self.log = log
+        self.process: subprocess.Popen[bytes] | Fork
+        if forked:
+            log.touch()
+            self.process = parent().fork(module, list(arguments), env, str(log))
+            return
         with log.open("wb") as stream:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments],
@@ -134,7 +143,10 @@ class Graph:
             domain_id=self.domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        self.node = rclpy.create_node("listener", context=self.context)
+        # The executor looks at each service and event handler in each round: it has none to see.
+        self.node = rclpy.create_node(
+            "listener", context=self.context, start_parameter_services=False
+        )
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.heard: dict[str, list[Any]] = {}
@@ -142,14 +154,20 @@ class Graph:
 
     # --- processes ---------------------------------------------------------------------------
 
-    def start(self, module: str, *arguments: str, **parameters: Any) -> Process:
-        """Start a node as a process: one of this package, or a module by its full name."""
+    def start(
+        self, module: str, *arguments: str, fresh: bool = False, **parameters: Any
+    ) -> Process:
+        """Start a node as a process: one of this package, or a module by its full name.
+
+        One of this package is forked unless the test is about its start (``fresh``).
+        """
         given = ["--ros-args", *arguments]
         for name, value in parameters.items():
             given += ["-p", f"{name}:={ros_value(value)}"]
         log = self.folder / f"{module}-{len(self.processes)}.log"
-        module = module if "." in module else f"derail_ros.nodes.{module}"
-        process = Process(module, self.env, log, *given)
+        own = "." not in module
+        module = f"derail_ros.nodes.{module}" if own else module
+        process = Process(module, self.env, log, *given, forked=own and not fresh)
         self.processes.append(process)
         return process
 
@@ -218,7 +236,7 @@ class Graph:
     def listen(self, *names: str, namespace: str = "") -> dict[str, list[Any]]:
         """Subscribe to topics of the table and wait until each has a publisher."""
         for name in names:
-            topic = TOPICS[name]
+            topic = (TOPICS | LIVE_TOPICS)[name]
             messages = self.heard.setdefault(name, [])
             full = name if name.startswith("/") else f"{namespace}/{name}".lstrip("/")
             full = full if namespace == "" or full.startswith("/") else f"/{full}"
@@ -227,6 +245,7 @@ class Graph:
                 full,
                 messages.append,
                 rclpy_qos(topic, max(1000, topic.depth)),
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             )
             self.until(lambda f=full: self.node.count_publishers(f), f"{full} has a publisher")
         return self.heard

@@ -42,6 +42,26 @@ def test_the_client_of_the_page(tmp_path) -> None:
     assert found and 0 < int(found[1]) <= own, (answer.stdout, own)
 
 
+@pytest.mark.ros
+def test_the_client_of_the_tutorial(tmp_path) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("derail_msgs")
+    from tests.nodes.graph import LIMIT, graph
+
+    page = (ROOT / "docs" / "tutorials" / "ros2.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    with graph(tmp_path) as made:
+        made.simulator(scenario="curve_derailment", start_paused=True, speed_factor=0.0)
+        answer = subprocess.run(
+            [sys.executable, "-c", program],
+            env=made.env,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+        )
+    assert (answer.returncode, answer.stdout) == (0, "at rest\n"), answer.stderr
+
+
 def test_the_page_names_every_topic_and_service() -> None:
     services = [path.stem for path in (ROOT / "derail_msgs" / "srv").glob("*.srv")]
     names = {re.sub(r"(?<!^)([A-Z])", r"_\1", name).lower() for name in services}

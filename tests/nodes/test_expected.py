@@ -158,6 +158,24 @@ def test_who_comes_between_the_last_tick_and_a_look_gets_it() -> None:
     assert len(bench.heard.of("energy")) > 1
 
 
+@pytest.mark.parametrize("began", [False, True])
+def test_who_comes_while_nothing_moves_gets_the_last_measurement(began) -> None:
+    bench = Bench(imu="1", odometry="2", imu_noise=0.1)
+    bench.load(ENDLESS, paused=True)
+    if began:
+        bench.heard.listening["car_2/odometry"] = 1
+        bench.core.set_state(State.PLAYING)
+        bench.run(0.3)
+        bench.core.set_state(State.PAUSED)
+    bench.run(0.5)
+    before = dict(bench.heard.raw)
+    sent = len(bench.heard.raw)
+    bench.heard.listening["car_1/imu_body"] = 1
+    bench.run(12.0)
+    got = [(n, d) for n, d in bench.heard.raw[sent:] if n in bench.heard.offered]
+    assert got and set(got) == {("car_1/imu_body", before["car_1/imu_body"])}
+
+
 # --- states ----------------------------------------------------------------------------------
 
 
@@ -211,6 +229,21 @@ def test_paths_that_pass_no_shell_are_expanded(node, name, monkeypatch) -> None:
     for given, meant in (("~/bag", "/home/somebody/bag"), ("$BAGS/bag", "/data/bags/bag")):
         value = parameter.check([given] if many else given)
         assert value == ([meant] if many else meant)
+
+
+@pytest.mark.parametrize("path", ["$NO_SUCH_NAME/bag", "${NO_SUCH_NAME}", "~nobody_there/x"])
+def test_paths_that_cannot_be_expanded_are_refused(path) -> None:
+    with pytest.raises(ValueError, match="record: there is nothing to put for .*[Nn][Oo]"):
+        PARAMETERS["simulator", "record"].check(path)
+    assert PARAMETERS["simulator", "record"].check("costs 5$ ü/~") == "costs 5$ ü/~"
+
+
+def test_frames_of_the_train_are_not_the_inertial_one() -> None:
+    for prefix, frame in (("", "car_1"), ("", "car_3/front_truck"), ("north/", "north/car_12")):
+        with pytest.raises(ValueError, match=f"frame_id must not be .* got '{frame}'"):
+            Settings(frame_prefix=prefix, frame_id=frame).check_frames()
+    for frame in ("map", "car_1", "north/cars", "north/car"):
+        Settings(frame_prefix="north/", frame_id=frame).check_frames()
 
 
 def test_each_train_has_frames_of_its_own() -> None:
@@ -267,9 +300,20 @@ def test_cars_are_chosen_by_numbers_and_ranges() -> None:
     ]  # fmt: skip
     assert [i for i, _ in chosen_cars("all", 3)] == [0, 1, 2]
     assert [i for i, _ in chosen_cars("2-5", 3)] == [1, 2], "only cars that the train has"
+    assert chosen_cars("2 2 3-2", 3) == [(1, ""), (2, "")], "each once, in whatever order"
     assert PARAMETERS["simulator", "imu"].check(5) == "5", "as -p imu:=5 has it"
     with pytest.raises(ValueError, match="imu must be numbers of cars"):
         PARAMETERS["simulator", "imu"].check("locomotive")
+    with pytest.raises(ValueError, match="imu must be numbers of cars"):
+        PARAMETERS["simulator", "imu"].check("0")
+
+
+def test_a_sensor_of_a_car_that_is_not_there_is_told() -> None:
+    bench = Bench(imu="20-30", odometry="1 77")
+    bench.load(SMALL)
+    told = [text for level, text in bench.heard.logs if level == "warning"]
+    assert [text for text in told if "no imu: the train has cars 1 to 10 only" in text]
+    assert not [text for text in told if "no odometry" in text]
 
 
 def test_odometry_is_the_state() -> None:

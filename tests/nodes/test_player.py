@@ -12,6 +12,7 @@ import pytest
 from derail_ros.nodes.playback import Playback
 from derail_ros.recording import record_run
 from derail_ros.recording.files import add_topic, bag_writer
+from derail_ros.recording.listener import Listener
 from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.common import stamp_of_bytes
 from msg_adapters.definitions import serialize
@@ -99,7 +100,7 @@ def test_another_rate_plays_faster_from_there_on(playback) -> None:
     assert made.now - before == pytest.approx(2.0 * SECOND, abs=1e6)
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf"), 1e308, 1e-300])
 def test_rates_that_cannot_be_are_refused(playback, rate) -> None:
     made, _, _ = playback
     assert not made.set_rate(rate)
@@ -195,6 +196,17 @@ def test_the_present_moment_is_sent_before_it_goes_on(playback) -> None:
     made.resume()
     go(made, wall, 1.0)
     assert len(states(sink)) == pytest.approx(21, abs=1)
+
+
+def test_topics_are_shown_again_to_who_comes_while_it_is_paused(playback) -> None:
+    made, wall, sink = playback
+    made.resume()
+    go(made, wall, 1.0)
+    made.pause()
+    last = states(sink)[-1]
+    sink.sent.clear()
+    made.show_again({"/train_state", "/consist"})
+    assert sink.sent == [("/train_state", last)], "what is latched need not be sent again"
 
 
 def test_a_loop_begins_again(playback) -> None:
@@ -330,18 +342,22 @@ def test_services_and_topics_on_a_graph(tmp_path, bag) -> None:
 
         heard = made.listen("train_state", "events", "consist", "/clock")
         made.until(lambda: heard["/clock"], "the clock runs while paused", player)
+        made.until(lambda: heard["train_state"], "the state, though it is paused", player)
         made.until(lambda: ask("play_next").success, "it plays a message", player)
         assert ask("is_paused").paused
         assert ask("get_rate").rate == 1.0
         assert not ask("set_rate", rate=-1.0).success
-        assert ask("set_rate", rate=20.0).success
         assert ask("burst", num_messages=10).actually_burst == 10
+        # It must not be at its end when it is told to pause, or it would begin again afterwards.
+        assert ask("set_rate", rate=0.01).success
         ask("resume")
-        made.until(lambda: heard["consist"], "the consist", player)
-        made.until(lambda: len(heard["train_state"]) > 50, "states", player)
+        assert not ask("is_paused").paused
         ask("pause")
         assert ask("is_paused").paused
+        assert ask("set_rate", rate=20.0).success
         ask("toggle_paused")
+        made.until(lambda: heard["consist"], "the consist", player)
+        made.until(lambda: len(heard["train_state"]) > 50, "states", player)
         made.until(
             lambda: heard["events"] and heard["events"][-1].kind_name == "run_ended",
             "the end of the run",
@@ -365,7 +381,7 @@ def test_services_and_topics_on_a_graph(tmp_path, bag) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_it_cleanly(tmp_path, bag, number) -> None:
     with on_graph(tmp_path) as made:
-        player = made.start("player", path=bag, loop=True)
+        player = made.start("player", fresh=True, path=bag, loop=True)
         heard = made.listen("train_state")
         made.until(lambda: heard["train_state"], "it plays", player)
         assert player.end(number) == 0
@@ -410,6 +426,12 @@ def test_it_ends_when_everything_has_been_played(tmp_path, bag) -> None:
         total = sum(1 for _ in playback.bag.messages(lambda c: c.topic == "/train_state"))
         playback.close()
         assert len(heard["train_state"]) == total, "nothing is lost"
+
+
+def test_a_recording_of_nothing_is_refused(tmp_path) -> None:
+    Listener(tmp_path / "none", "mcap", {"/train_state": TOPICS["train_state"]}).close()
+    with pytest.raises(BagError, match="no message in it"):
+        Playback(tmp_path / "none")
 
 
 def test_mistakes_are_told_in_a_line(tmp_path) -> None:

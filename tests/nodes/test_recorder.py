@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -187,7 +189,7 @@ def test_who_comes_late_says_what_it_missed(tmp_path) -> None:
 
 def test_a_place_that_is_taken_is_one_clear_line(tmp_path) -> None:
     with graph(tmp_path) as made:
-        recorder = made.start("recorder", path=tmp_path)
+        recorder = made.start("recorder", fresh=True, path=tmp_path)
         assert recorder.wait() == 1
         assert recorder.output.strip().splitlines()[-1].startswith("error: ")
         assert "exists already" in recorder.output and "Traceback" not in recorder.output
@@ -205,23 +207,24 @@ def test_topics_by_their_names() -> None:
 def test_the_demonstration_ends_by_itself(tmp_path, scenarios) -> None:
     """`make run` with a small train: two nodes, a recording, an outcome, figures."""
     shutil.copy(scenarios / "small.yaml", tmp_path / "small.yaml")
-    result = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "derail_ros.demo",
-            "curve_derailment",
-            "--speed-factor",
-            "0",
-            "--output",
-            str(tmp_path / "out"),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "cars derailed" in result.stdout and "no message missed" in result.stdout
+    command = [sys.executable, "-m", "derail_ros.demo", "curve_derailment"]
+    command += ["--speed-factor", "0", "--output", str(tmp_path / "out")]
+    said, told = "", ""
+    with subprocess.Popen(
+        command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            said += line
+            if line.startswith("page: "):  # its stream ends with the demonstration
+                with urllib.request.urlopen(line.split()[1] + "events", timeout=120) as stream:
+                    told = stream.read().decode()
+    assert process.returncode == 0, said
+    assert "cars derailed" in said and "no message missed" in said
+    kinds = re.findall(r"^event: (\w+)$", told, re.M)
+    assert kinds[0] == "hello" and kinds[-1] == "closed"
+    assert {"state", "break", "event", "end"} <= set(kinds), kinds
+    assert "derails at the rail break" in told
     for name in ("final_scene.png", "peak_forces.png", "bag/bag.mcap", "bag/manifest.json"):
         assert (tmp_path / "out" / name).stat().st_size > 0
 

@@ -115,6 +115,15 @@ def test_without_a_world(made: Graph) -> None:
     assert code(call(made, "GetEntityState", entity="car_1")) == Result.RESULT_INCORRECT_STATE
 
 
+def test_no_state_is_reached_without_a_world(made: Graph) -> None:
+    call(made, "UnloadWorld")
+    kinds = srv.SetSimulationState.Response
+    for state in (0, 1, 2):
+        answer = call(made, "SetSimulationState", state=SimulationState(state=state))
+        assert answer.result.result == kinds.INCORRECT_TRANSITION, state
+        assert call(made, "GetSimulationState").state.state == SimulationState.STATE_NO_WORLD
+
+
 def test_worlds_are_the_scenarios(made: Graph) -> None:
     worlds = {w.name: w for w in call(made, "GetAvailableWorlds").worlds}
     assert {"endless", "mississauga", "base_train"} <= set(worlds)
@@ -229,9 +238,12 @@ def test_filters(loaded: Graph) -> None:
     assert found(bounds=Bounds(type=Bounds.TYPE_BOX, points=box)) == ["car_2"]
     box[1].y = 5.0
     assert found(bounds=Bounds(type=Bounds.TYPE_BOX, points=box)) == []
+    huge = [Vector3(x=s * 1e308, y=s * 1e308, z=s * 1e308) for s in (1.0, -1.0)]
+    assert len(found(bounds=Bounds(type=Bounds.TYPE_BOX, points=huge))) == 3
     for filters, expected in (
         ({"filter": "["}, Result.RESULT_OPERATION_FAILED),
         ({"bounds": Bounds(type=1, points=box[:1])}, Result.RESULT_OPERATION_FAILED),
+        ({"bounds": Bounds(type=3, points=[*ball[:1], huge[1]])}, Result.RESULT_OPERATION_FAILED),
         ({"bounds": Bounds(type=2, points=[*box, *box])}, Result.RESULT_FEATURE_UNSUPPORTED),
     ):
         answer = call(loaded, "GetEntities", filters=msg.EntityFilters(**filters))

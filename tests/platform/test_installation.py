@@ -11,27 +11,37 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TREE = ["derail_ros", "msg_adapters", "config", "launch", "resource", "scripts"]
-FILES = ["setup.py", "setup.cfg", "pyproject.toml", "package.xml"]
+FILES = ["setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md", "LICENSE"]
 DATA = "derail_ros-{version}.data/data/"
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """Build a wheel from a copy of the tree, so that nothing is left behind in it."""
-    pytest.importorskip("setuptools")
-    folder = tmp_path_factory.mktemp("wheel")
-    copy = folder / "tree"
+def tree(tmp_path_factory) -> Path:
+    """A copy of the tree, so that nothing is left behind in it."""
+    copy = tmp_path_factory.mktemp("tree") / "tree"
     for name in TREE:
         shutil.copytree(
             ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", ".*")
         )
     for name in FILES:
         shutil.copy(ROOT / name, copy / name)
+    return copy
+
+
+def built(source: Path, folder: Path) -> Path:
+    """The wheel of a tree or of a source distribution."""
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
-    command += ["--no-build-isolation", "--wheel-dir", str(folder), str(copy)]
+    command += ["--no-build-isolation", "--wheel-dir", str(folder), str(source)]
     subprocess.run(command, check=True, capture_output=True)
     (found,) = folder.glob("*.whl")
     return found
+
+
+@pytest.fixture(scope="module")
+def wheel(tree, tmp_path_factory) -> Path:
+    """Build a wheel."""
+    pytest.importorskip("setuptools")
+    return built(tree, tmp_path_factory.mktemp("wheel"))
 
 
 def files(folder: Path) -> set[Path]:
@@ -67,6 +77,44 @@ def test_the_wheel_has_every_file_of_the_tree(wheel):
         if path.is_file() and not path.name.startswith("."):
             assert f"{data}share/derail_ros/{path.relative_to(ROOT).as_posix()}" in names
     assert not any(name.startswith(("tests", "docs", "launch/")) for name in names)
+
+
+def test_a_source_distribution_makes_the_same_wheel(wheel, tree, tmp_path):
+    command = [sys.executable, "setup.py", "--quiet", "sdist", "--dist-dir", str(tmp_path)]
+    subprocess.run(command, cwd=tree, check=True, capture_output=True)
+    (source,) = tmp_path.glob("*.tar.gz")
+    again = built(source, tmp_path / "wheel")
+    assert again.name == wheel.name
+    with zipfile.ZipFile(wheel) as one, zipfile.ZipFile(again) as other:
+        assert sorted(one.namelist()) == sorted(other.namelist())
+        text = next(one.read(n).decode() for n in one.namelist() if n.endswith("METADATA"))
+    assert "# derail_ros" in text, "the README is the page of the package"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_clean_environment_without_compiler_and_ros(wheel, tmp_path):
+    """`pip install` of the wheel with what it needs (from the package index), and a run."""
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "env")], check=True)
+    bin_ = tmp_path / "env" / "bin"
+    environment = {"PATH": str(bin_), "HOME": str(tmp_path), "LANG": "C.UTF-8"}
+    environment |= {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "SSL_"))}
+    install = [bin_ / "python", "-m", "pip", "install", "--quiet"]
+    install += ["--constraint", ROOT / "constraints.txt", wheel]
+    subprocess.run(install, check=True, env=environment)
+    short = ["--set", "train.consist.0.count=8", "--json"]
+    answer = subprocess.run(
+        ["derail", "simulate", "base_train", *short],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        executable=str(bin_ / "derail"),
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert '"cars_derailed": ' in answer.stdout
+    has = [str(bin_ / "python"), "-c", "import rclpy"]
+    assert subprocess.run(has, env=environment, capture_output=True).returncode == 1
 
 
 @pytest.mark.parametrize("how", ["prefix", "target"])

@@ -71,8 +71,10 @@ def test_what_comes_in_disorder_is_written_by_time(messages, tmp_path, monkeypat
 def heard(listener: Listener, rows: list, who: int, number: int) -> None:
     """One message of the process ``who``, as the middleware brings it."""
     name, data = rows[number]
-    identity = bytes([who] * 12) + bytes([number % 200, 0, 0, 3])
-    listener.take(f"/{name}", data, {"publisher_gid": {"data": identity}})
+    identity = bytes([who] * 12) + bytes([list(TOPICS).index(name), 0, 0, 3])
+    sent = sum(row[0] == name for row in rows[: number + 1])
+    info = {"publisher_gid": {"data": identity}, "publication_sequence_number": sent}
+    listener.take(f"/{name}", data, info)
 
 
 def test_two_simulators_at_once_are_one_recording_and_no_loss(messages, tmp_path) -> None:
@@ -87,7 +89,8 @@ def test_two_simulators_at_once_are_one_recording_and_no_loss(messages, tmp_path
         heard(listener, messages, 2, number)
     listener.close()
     assert len(listener.closed) == 1
-    assert all(counts["gaps"] == 0 for counts in listener.reports[0].values())
+    report = listener.reports[0]
+    assert all(counts["gaps"] == counts["lost"] == 0 for counts in report.values()), report
 
 
 def test_a_simulator_that_takes_the_place_of_one_that_is_gone_begins_anew(

@@ -21,6 +21,7 @@ from derail_ros.recording.recorded_run import RecordedRun
 from derail_ros.recording.repair import repair
 from derail_ros.recording.storage import open_bag
 from derail_ros.vocabulary.events import Collision, Event, EventKind
+from derail_ros.vocabulary.measures import outcome_record
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.severity import severity
 
@@ -193,6 +194,15 @@ def test_cars(run: RecordedRun, expected: dict[str, Any]) -> None:
 def test_energy_and_commands(run: RecordedRun, expected: dict[str, Any]) -> None:
     for row in expected["stopped_by"]["shares"]:
         assert run.energy[ENERGY[row["entry"]]][-1] == row["energy_J"]
+    taken = {ENERGY[row["entry"]]: row["energy_J"] for row in expected["stopped_by"]["shares"]}
+    measures = outcome_record(run.outcome)
+    for measure, entries in (
+        ("share_brakes", ("brakes",)),
+        ("share_ground", ("ground_trucks", "ground_body")),
+        ("share_collisions", ("collisions",)),
+    ):
+        share = sum(taken[e] for e in entries) / measures["energy_initial_J"]
+        assert measures[measure] == pytest.approx(share, rel=1e-12), measure
     assert list(run.commands) == expected["commands"]
 
 

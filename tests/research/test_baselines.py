@@ -31,7 +31,9 @@ SCOPE = page.Scope(
 
 @pytest.fixture(scope="module")
 def cases():
-    return page.compute(page.trials_of(SCOPE, 2), jobs=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "REPEATS", 1)  # its times are nobody's
+        return page.compute(page.trials_of(SCOPE, 2), jobs=1)
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +58,7 @@ def runs(scenario, model, members, **overrides):
     return [run_model(model, vary(params, member_factor(0, i))).record for i in range(members)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "yang-manos", "anderson"])
 def test_figures_are_means_and_deviations_of_runs(written, model):
     text = written.read_text(encoding="utf-8")
@@ -70,6 +73,7 @@ def test_figures_are_means_and_deviations_of_runs(written, model):
     assert scenes[model][1] == f"{mean[0]:.0f} x {mean[1]:.0f}"
 
 
+@pytest.mark.slow
 def test_other_trains_and_models_without_a_push(written):
     text = written.read_text(encoding="utf-8")
     for name in ("mississauga", "yang_manos_base"):
@@ -84,6 +88,7 @@ def test_other_trains_and_models_without_a_push(written):
     assert table(text, "mississauga")["planar"][2] == expected
 
 
+@pytest.mark.slow
 def test_published_rows(written):
     text = written.read_text(encoding="utf-8")
     known = {case.name: case.published for case in load_published().cases}
@@ -99,6 +104,7 @@ def test_published_rows(written):
     assert "published" not in table(text, "yang_manos_base")
 
 
+@pytest.mark.slow
 def test_tables_of_choices(written, cases):
     text = written.read_text(encoding="utf-8")
     row = table(text, "yang_manos_speed")["96"]
@@ -132,6 +138,7 @@ def test_tables_of_choices(written, cases):
     assert all((written.parent / "images" / n).stat().st_size > 5000 for n in images)
 
 
+@pytest.mark.slow
 def test_a_page_is_filled_between_its_marks_only(written):
     text = written.read_text(encoding="utf-8").replace("## joints", "## By hand")
     again = fill(text, {"joints": "NEW", "about": "ABOUT"})

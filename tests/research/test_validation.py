@@ -99,9 +99,9 @@ def test_the_paragraph_that_argues_is_there():
     assert f"**{title}.**" in (DOCS / "decisions.md").read_text(encoding="utf-8")
 
 
-def test_the_readme_says_what_the_validation_page_says():
+def test_the_evidence_says_what_the_validation_page_says():
     text = (DOCS / "validation.md").read_text(encoding="utf-8")
-    readme = " ".join((DOCS.parent / "README.md").read_text(encoding="utf-8").split())
+    evidence = " ".join((DOCS / "evidence.md").read_text(encoding="utf-8").split())
     table = text.split("## Goals")[1].split("![")[0]
     rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("|")]
     reached = {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows if len(row) == 6}
@@ -121,7 +121,7 @@ def test_the_readme_says_what_the_validation_page_says():
         f"in {100 * float(share):.0f} % of all their runs",
         f"of {round(float(band) * int(cases))} of {cases} ensembles",
     ):
-        assert said in readme
+        assert said in evidence
 
 
 # Figures, and the run car by car -----------------------------------------------------------

@@ -203,6 +203,7 @@ def test_exported_numbers_are_those_of_the_messages(bag, run, tmp_path, form) ->
         "collisions",
         "events",
         "consist",
+        "files",
     }
     cars, couplings = tables["cars"], tables["couplings"]
     assert len(cars["time_s"]) == len(run.time) * run.n
@@ -269,6 +270,20 @@ def test_texts_that_look_like_formulas_stay_texts(run, tmp_path) -> None:
         rows = list(csv.DictReader(file))
     assert [r["name"] for r in rows[:2]] == ["'=1+1", "'@x"]
     assert [r["contents"] for r in rows] == list(run.cars.contents), "no text is no formula"
+
+
+def test_what_the_scenario_was_made_from_is_told(run, tmp_path) -> None:
+    made = replace(run, files={"yard.yaml": b"abc", "cars.csv": b""})
+    # of "abc": FIPS 180-2, appendix B.1
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    facts = summary.findings(made)
+    assert facts["scenario"]["files"]["yard.yaml"] == digest
+    assert f"made from yard.yaml sha256:{digest}" in summary.text(made, facts)
+    histories.export(made, tmp_path, "csv")
+    with (tmp_path / "files.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["name"], r["bytes"]) for r in rows] == [("yard.yaml", "3"), ("cars.csv", "0")]
+    assert rows[0]["sha256"] == digest
 
 
 def test_another_format_is_refused(bag, tmp_path, capsys) -> None:
@@ -426,7 +441,8 @@ def test_what_ended_a_run_is_said(run: RecordedRun, status, said) -> None:
     assert said in facts["text"]
     assert facts["outcome"]["duration_s"] is facts["outcome"]["rear_stop_m"] is None
     assert "at rest after" not in summary.text(cut)
-    assert summary.findings(run)["outcome"]["rear_stop_m"] == run.outcome.rear_stop
+    rested = replace(run, outcome=replace(run.outcome, rear_part_coordinate=-9.0))
+    assert summary.findings(rested)["outcome"]["rear_stop_m"] == -9.0
 
 
 def test_a_run_that_a_command_ended_is_known_by_its_events_too(run: RecordedRun) -> None:

@@ -12,6 +12,7 @@ from tests.nodes.support import simulation, small
 
 SCENARIO = """
 version: 1
+constants: published
 title: A short train over a broken rail
 train:
   speed_kmh: 60

@@ -36,7 +36,7 @@ def test_examples_of_the_page_load():
     blocks = PAGE.read_text(encoding="utf-8").split("```yaml\n")[1:]
     texts = [block.partition("```")[0] for block in blocks]
     whole = "version: 1\ntitle: x\ntrain:\n  speed_kmh: 60\n  consist: [{car: box_car}]\n"
-    assert len(texts) == 6
+    assert len(texts) == 7
     for text in texts:
         if "version" not in text:
             section = text.partition(":")[0]
@@ -69,7 +69,7 @@ def test_units_are_in_the_names():
         "m/s": "_m_per_s", "km/h": "_kmh", "rad": "_rad", "rad/s": "_rad_per_s", "s/m": "_s_per_m",
         "s2/m2": "_s2_per_m2", "1/s": "_per_s", "1/s2": "_per_s2", "N s/m": "_N_s_per_m",
         "kW": "_kW", "deg": "_deg", "m2": "_m2",
-        "m2/s2": "_m2_per_s2", "%": "_percent", "km/h, kN": "_kmh_kN", "1": "", "": "",
+        "m2/s2": "_m2_per_s2", "J": "_J", "%": "_percent", "km/h, kN": "_kmh_kN", "1": "", "": "",
     }  # fmt: skip
     for model in models():
         for name, info in model.model_fields.items():
@@ -105,7 +105,8 @@ def test_every_parameter_of_the_engine_can_be_set():
 
 
 def test_defaults_are_those_of_the_engine():
-    text = "version: 1\ntitle: x\ntrain: {speed_kmh: 60, consist: [{car: box_car}]}\n"
+    text = "version: 1\nconstants: published\ntitle: x\n"
+    text += "train: {speed_kmh: 60, consist: [{car: box_car}]}\n"
     params = loads_scenario(text + "initiation: {await_command: true}\n").to_params()
     default = engine.TrainParams(
         params.cars, engine.InitiationParams(params.initiation.speed, derailed_trucks=())

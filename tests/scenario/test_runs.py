@@ -6,6 +6,9 @@ import pytest
 
 from derail_ros.scenario import list_scenarios, load_scenario
 
+FEW = {"dugald_2009": 0, "brighton_2009": 2}
+"""Trains that part without derailing, or of which few cars leave the rails (docs/accidents.md)."""
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, _ in list_scenarios()])
@@ -14,5 +17,8 @@ def test_runs_to_rest(name):
 
     outcome = PlanarSimulation(load_scenario(name).to_params()).run()
     assert outcome.status == "at rest"
-    assert outcome.cars_derailed >= 5
+    if name in FEW:
+        assert outcome.cars_derailed == FEW[name]
+    else:
+        assert outcome.cars_derailed >= 5
     assert math.isfinite(outcome.duration)

@@ -31,6 +31,7 @@ REPORTED = [
 NAMES = [
     *REPORTED,
     "base_train",
+    "cars_on_a_siding",
     "curve_derailment",
     "mid_train_break",
     "mississauga",
@@ -41,6 +42,9 @@ NAMES = [
     "mississauga_published_brake_instant",
     "mississauga_published_brake_instant_traction",
     "mississauga_published_brake_traction",
+    "mississauga_soft_ground",
+    "mississauga_wall",
+    "place_from_a_map",
     "yang_manos_base",
 ]
 
@@ -63,7 +67,7 @@ def test_loads_converts_and_is_described(name):
     assert isinstance(params, TrainParams)
     assert scenario.name == name
     assert scenario.title and scenario.description and scenario.source
-    assert scenario.n_cars == sum(car.represents for car in params.cars)
+    assert scenario.n_cars == sum(car.represents for car in params.cars[: params.n_train])
     assert params.brakes.vent_on_parting == (
         not name.startswith(("mississauga", "base_train", "yang_manos"))
     )

@@ -102,6 +102,6 @@ def test_study(bar, tmp_path, capsys):
 
 
 def test_an_unknown_model_is_refused(bar, capsys):
-    bar.write_text(SCENARIO.replace("model: bar", "model: spatial"))
+    bar.write_text(SCENARIO.replace("model: bar", "model: flying"))
     assert main(["simulate", str(bar)]) != 0
-    assert "model: must be one of planar, bar, got spatial" in capsys.readouterr().err
+    assert "model: must be one of planar, spatial, bar, got flying" in capsys.readouterr().err

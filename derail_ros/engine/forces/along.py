@@ -13,19 +13,20 @@ import math
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.forces.brakes import add_damping
+from derail_ros.engine.forces.track import locate_on, standing
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import rise, smooth_direction
 from derail_ros.engine.laws.effort import effort_at, share_at
 from derail_ros.engine.laws.profile import height
 from derail_ros.engine.laws.resistance import resistance
-from derail_ros.engine.track import locate
 
 
 @inner_jit
 def _foot(model: Model, state: State, q: F64, i: int) -> tuple[float, float, float, float, float]:
-    """Foot point of the mass centre of car ``i``: as ``locate``, from its front truck's."""
+    """Foot point of the mass centre of car ``i``: as ``locate_on``, from its front truck's."""
     hint = state.truck_s[i, 0] - model.car[i].truck
-    return locate(model.track, q[i, 0], q[i, 1], hint)
+    return locate_on(model, i, q[i, 0], q[i, 1], hint)
 
 
 @inner_jit
@@ -73,7 +74,7 @@ def along_forces(model: Model, state: State, work: Work, t: float, q: F64, v: F6
     for i in range(q.shape[0]):
         row = model.along[i]
         s, d, heading, kappa, _ = _foot(model, state, q, i)
-        if par.profile != 0.0:
+        if par.profile != 0.0 and not standing(model, i):
             pull = -model.car[i].mass * par.gravity * height(model.grade, s)[1]
             pull /= 1.0 - kappa * d
             force[i, 0] += pull * math.cos(heading)
@@ -120,16 +121,7 @@ def along_damping(model: Model, state: State, work: Work, t: float, v: F64) -> N
             continue
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
         resist, brake = _retarding(model, state, i, t, speed, 0.0)
-        across = trucks * (resist + brake) * smooth_direction(speed, eps)
-        along = across * (eps * eps) / (speed * speed + eps * eps)
-        ux = 1.0
-        uy = 0.0
-        if speed > 0.0:
-            ux = v[i, 0] / speed
-            uy = v[i, 1] / speed
-        wk[i].c_xx += across + (along - across) * ux * ux
-        wk[i].c_xy += (along - across) * ux * uy
-        wk[i].c_yy += across + (along - across) * uy * uy
+        add_damping(wk, i, v, speed, trucks * (resist + brake), eps)
 
 
 @jit
@@ -137,7 +129,7 @@ def potential_energy(model: Model, state: State, q: F64) -> float:
     """Potential energy of all cars, J, over the height of the track at its coordinate 0."""
     total = 0.0
     if model.par[0].profile != 0.0:
-        for i in range(q.shape[0]):
+        for i in range(int(model.par[0].train)):  # second tracks are level
             s = _foot(model, state, q, i)[0]
             z = height(model.grade, s)[0]
             total += model.car[i].mass * model.par[0].gravity * z

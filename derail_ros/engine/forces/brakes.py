@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from derail_ros.engine import layout
-from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.arrays import F64, Model, Rows, State, Work
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 from derail_ros.engine.laws.brake import (
     cast_iron_factor,
@@ -29,9 +29,12 @@ LARGEST_BRAKING = 20.0
 
 
 @inner_jit
-def brake_force(model: Model, state: State, i: int, t: float, speed: float) -> float:
+def brake_force(
+    model: Model, state: State, i: int, t: float, speed: float, composition: float
+) -> float:
     """Retarding force on car ``i`` at the time ``t`` and ``speed`` (m/s), N.
 
+    ``composition`` is the factor of composition shoes at that speed.
     The beginning of the step (``T_ON``) decides which instant applications are on, so that a
     force is never switched inside one.
     """
@@ -42,7 +45,6 @@ def brake_force(model: Model, state: State, i: int, t: float, speed: float) -> f
     arrival = state.arrival
     t_on = state.clock[0].t_on
     rise_time = model.par[0].brake_rise
-    composition = composition_factor(speed)
     total = 0.0
     for u in range(model.unit_start[i], model.unit_start[i + 1]):
         shoe = unit[u].shoe
@@ -71,46 +73,56 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
     reporting = report.shape[0] > 0
     eps = model.par[0].ground_eps
     power = 0.0
+    speed = 0.0
+    composition = 1.0
+    direction = 0.0
     for i in range(v.shape[0]):
-        speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        f = brake_force(model, state, i, t, speed)
+        if work.head[i] == i:  # all cars of a block have one speed
+            speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
+            composition = composition_factor(speed)
+            direction = smooth_direction(speed, eps)
+        f = brake_force(model, state, i, t, speed, composition)
         if f != 0.0:
-            g = f * smooth_direction(speed, eps)
+            g = f * direction
             force[i, 0] -= g * v[i, 0]
             force[i, 1] -= g * v[i, 1]
             power += g * speed * speed
             if reporting:
-                report[i, layout.R_BRAKE] = f * speed * smooth_direction(speed, eps)
+                report[i, layout.R_BRAKE] = f * speed * direction
     work.power[layout.E_BRAKE] = power
 
 
 @inner_jit
-def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> None:
-    """Add the damping of the brakes of the stiff cars to their blocks in ``work.wk``.
+def add_damping(wk: Rows, i: int, v: F64, speed: float, force: float, eps: float) -> None:
+    """Add the damping of a force (N) against the velocity of car ``i`` to its block in ``wk``.
 
     The force is ``-g(v) v`` with ``g = f / sqrt(v^2 + eps^2)``: damping ``g`` across the velocity,
     ``d(g v)/dv = g eps^2 / (v^2 + eps^2)`` along it.
     """
+    across = force * smooth_direction(speed, eps)
+    along = across * (eps * eps) / (speed * speed + eps * eps)
+    ux = 1.0
+    uy = 0.0
+    if speed > 0.0:
+        ux = v[i, 0] / speed
+        uy = v[i, 1] / speed
+    wk[i].c_xx += across + (along - across) * ux * ux
+    wk[i].c_xy += (along - across) * ux * uy
+    wk[i].c_yy += across + (along - across) * uy * uy
+
+
+@inner_jit
+def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> None:
+    """Add the damping of the brakes of the stiff cars to their blocks in ``work.wk``."""
     keep_separate()
-    wk = work.wk
     eps = model.par[0].ground_eps
     for i in range(v.shape[0]):
-        if wk[i].stiff == 0.0:
+        if work.wk[i].stiff == 0.0:
             continue
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        f = brake_force(model, state, i, t, speed)
-        if f == 0.0:
-            continue
-        across = f * smooth_direction(speed, eps)
-        along = across * (eps * eps) / (speed * speed + eps * eps)
-        ux = 1.0
-        uy = 0.0
-        if speed > 0.0:
-            ux = v[i, 0] / speed
-            uy = v[i, 1] / speed
-        wk[i].c_xx += across + (along - across) * ux * ux
-        wk[i].c_xy += (along - across) * ux * uy
-        wk[i].c_yy += across + (along - across) * uy * uy
+        f = brake_force(model, state, i, t, speed, composition_factor(speed))
+        if f != 0.0:
+            add_damping(work.wk, i, v, speed, f, eps)
 
 
 @inner_jit
@@ -119,6 +131,8 @@ def _vent(model: Model, state: State, at: float, kind: int, t: float) -> None:
     par = model.par[0]
     at_once = kind == layout.ARR_INST or kind == layout.ARR_INST_TL or par.brake_system == ECP
     for u in range(state.arrival.shape[0]):
+        if model.unit[u].body >= par.train:  # the pipe of standing cars is empty
+            continue
         arrival = t + model.unit[u].delay
         if not at_once:
             arrival += abs(model.unit[u].distance - at) / par.brake_speed

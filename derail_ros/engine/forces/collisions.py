@@ -28,6 +28,7 @@ from derail_ros.engine.laws.contact import (
     outside_mask,
     speed_factor,
 )
+from derail_ros.engine.trigonometry import sincos
 
 Frame = tuple[float, float, float, float]
 
@@ -52,8 +53,8 @@ def pair_frames(
 
 
 @inner_jit
-def within(car: Rows, i: int, j: int, seen: tuple[Frame, Frame], room: float) -> bool:
-    """No axis of the two rectangles shows a gap above ``room`` (m) between them."""
+def widest_gap(car: Rows, i: int, j: int, seen: tuple[Frame, Frame]) -> float:
+    """Widest gap between the two rectangles along an axis of either, m; below 0 without one."""
     (ju, jw, c, s), (iu, iw, _, _) = seen
     c = abs(c)
     s = abs(s)
@@ -61,11 +62,9 @@ def within(car: Rows, i: int, j: int, seen: tuple[Frame, Frame], room: float) ->
     b_i = car[i].half_w
     a_j = car[j].half_l
     b_j = car[j].half_w
-    return not (
-        abs(ju) > a_j + room + a_i * c + b_i * s
-        or abs(jw) > b_j + room + a_i * s + b_i * c
-        or abs(iu) > a_i + room + a_j * c + b_j * s
-        or abs(iw) > b_i + room + a_j * s + b_j * c
+    return max(
+        max(abs(ju) - a_j - a_i * c - b_i * s, abs(jw) - b_j - a_i * s - b_i * c),
+        max(abs(iu) - a_i - a_j * c - b_j * s, abs(iw) - b_i - a_j * s - b_j * c),
     )
 
 
@@ -284,7 +283,7 @@ def collision_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> 
             clear(pair, p)
             pair[p].near = 0.0
         seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
-        if within(model.car, i, j, seen, model.par[0].buffer):
+        if widest_gap(model.car, i, j, seen) <= model.par[0].buffer:
             pair[p].near = 1.0
             pair_contacts(model, state, q, v, wk, work.force, pair, work.report, p, seen)
             power += pair[p].power
@@ -360,10 +359,8 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
             si = wk[i].st
             cj = wk[j].ct
             sj = wk[j].st
-            ci0 = math.cos(state.q[i, 2])
-            si0 = math.sin(state.q[i, 2])
-            cj0 = math.cos(state.q[j, 2])
-            sj0 = math.sin(state.q[j, 2])
+            si0, ci0 = sincos(state.q[i, 2])
+            sj0, cj0 = sincos(state.q[j, 2])
             for corner in range(4):
                 u, w = corner_of(car, i, corner)
                 x1, y1, vx1, vy1 = _corner(work.stage_q, work.stage_v, i, j, ci, si, cj, sj, u, w)

@@ -65,14 +65,16 @@ def coupler_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> No
     reporting = report.shape[0] > 0
     power = 0.0
     for i in range(n):
+        for k in range(5):
+            force[i, k] = 0.0
+    for a in range(1, 1 + work.live[0]):
+        i = work.live[a]
         front, lost_front = _striker(striker, q, v, i, 0)
         rear, lost_rear = _striker(striker, q, v, i, 1)
         power += lost_front
         power += lost_rear
         arm_front = striker[i, 0].arm
         arm_rear = striker[i, 1].arm
-        force[i, 0] = 0.0
-        force[i, 1] = 0.0
         force[i, 2] = arm_front * front + arm_rear * rear
         force[i, 3] = -arm_front * front
         force[i, 4] = -arm_rear * rear
@@ -80,7 +82,7 @@ def coupler_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> No
             report[i, layout.R_STRIKER] = front
             report[i, layout.R_STRIKER + 1] = rear
     for i in range(n - 1):
-        if state.coupled[i]:
+        if state.coupled[i] and work.head[i + 1] > i:
             moment = _moment(model, i, q[i, 4] - q[i + 1, 3])
             force[i, 4] += moment
             force[i + 1, 3] -= moment
@@ -167,7 +169,7 @@ def coupling_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> No
     wk = work.wk
     stabilize = par.project == 0.0
     for k in range(q.shape[0] - 1):
-        if state.coupled[k] == 0:
+        if state.coupled[k] == 0 or work.head[k + 1] <= k:
             continue
         w1 = car[k].pivot * v[k, 2] * v[k, 2]
         w2 = wk[k].reach * v[k, 4] * v[k, 4]
@@ -249,7 +251,8 @@ def first_kink(model: Model, state: State, work: Work, h: float) -> float:
     force = KINK * model.par[0].force_max
     share = 1.0
     n = q0.shape[0]
-    for i in range(n):
+    for a in range(1, 1 + work.live[0]):
+        i = work.live[a]
         for end in range(2):
             s = model.striker[i, end]
             arm = s.arm

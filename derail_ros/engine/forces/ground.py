@@ -12,6 +12,7 @@ import math
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
 from derail_ros.engine.forces.track import truck_arm
+from derail_ros.engine.forces.zones import look_up, slope_forces
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.laws.ground import BODY_POINTS, drag, drag_slopes
 
@@ -65,8 +66,23 @@ def _gather(model: Model, state: State, work: Work, v: F64, stiff: bool) -> int:
 
 
 @inner_jit
-def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
-    """Add the drag at the velocities ``v`` to ``work.force``."""
+def _zoned(model: Model, work: Work, q: F64, points: int, damping: bool) -> None:
+    """Drag, or its damping, of the points in ``work.ground`` by the constants of their zones."""
+    keep_separate()
+    ground = work.ground
+    look_up(model, work, q)
+    for m in range(points):
+        speed = math.sqrt(ground[0, m] * ground[0, m] + ground[1, m] * ground[1, m])
+        c = (ground[6, m], ground[7, m], ground[8, m], ground[9, m])
+        if damping:
+            ground[4, m], ground[5, m] = drag_slopes(speed, c[0], c[1], c[2], c[3])
+        else:
+            ground[4, m] = drag(speed, c[0], c[1], c[2], c[3])
+
+
+@inner_jit
+def ground_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
+    """Add the drag at ``(q, v)`` to ``work.force``."""
     keep_separate()
     par = model.par[0]
     wk = work.wk
@@ -78,7 +94,11 @@ def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
     c_d = par.ground_cd
     eps = par.ground_eps
     c_v = par.ground_cv
-    for m in range(_gather(model, state, work, v, False)):
+    points = _gather(model, state, work, v, False)
+    if model.zone.shape[0] > 0:
+        _zoned(model, work, q, points, False)
+        points = 0
+    for m in range(points):
         speed = math.sqrt(ground[0, m] * ground[0, m] + ground[1, m] * ground[1, m])
         ground[4, m] = drag(speed, c_s, c_d, eps, c_v)
     p_truck = 0.0
@@ -122,6 +142,8 @@ def ground_forces(model: Model, state: State, work: Work, v: F64) -> None:
                 report[i, layout.R_BODY + 1] = fy
     work.power[layout.E_GROUND_TRUCK] = p_truck
     work.power[layout.E_GROUND_BODY] = p_body
+    if par.slopes != 0.0:
+        slope_forces(model, work)
 
 
 @inner_jit
@@ -130,12 +152,12 @@ def largest_drag(model: Model, state: State, i: int) -> float:
     if state.truck_on[i, 0] and state.truck_on[i, 1]:
         return 0.0
     lever = model.car[i].half_l / model.car[i].gyration
-    weight = model.par[0].ground_scale * model.par[0].gravity * model.par[0].ground_cs
+    weight = model.par[0].ground_scale * model.par[0].gravity * model.par[0].ground_most
     return weight * (2.0 + lever * lever)
 
 
 @inner_jit
-def ground_damping(model: Model, state: State, work: Work, v: F64) -> None:
+def ground_damping(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """Add the damping of the drag on the stiff cars to their blocks in ``work.wk``.
 
     At a point with the velocity u it is ``drag_slopes`` times the load: one value across u, one
@@ -149,7 +171,11 @@ def ground_damping(model: Model, state: State, work: Work, v: F64) -> None:
     c_d = par.ground_cd
     eps = par.ground_eps
     c_v = par.ground_cv
-    for m in range(_gather(model, state, work, v, True)):
+    points = _gather(model, state, work, v, True)
+    if model.zone.shape[0] > 0:
+        _zoned(model, work, q, points, True)
+        points = 0
+    for m in range(points):
         speed = math.sqrt(ground[0, m] * ground[0, m] + ground[1, m] * ground[1, m])
         across, along = drag_slopes(speed, c_s, c_d, eps, c_v)
         ground[4, m] = across

@@ -17,9 +17,8 @@ import math
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import F64, Model, State, Work
-from derail_ros.engine.forces.track import truck_arm
+from derail_ros.engine.forces.track import locate_on, truck_arm
 from derail_ros.engine.jit import inner_jit, keep_separate
-from derail_ros.engine.track import locate
 
 
 @inner_jit
@@ -37,7 +36,7 @@ def guidance_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> N
             r = truck_arm(model.car, i, k)
             x = q[i, 0] + r * wk[i].ct
             y = q[i, 1] + r * wk[i].st
-            s, d, heading, _, _ = locate(model.track, x, y, state.truck_s[i, k])
+            s, d, heading, _, _ = locate_on(model, i, x, y, state.truck_s[i, k])
             state.truck_s[i, k] = s
             over = abs(d) - par.guide_play
             if over <= 0.0:
@@ -66,7 +65,7 @@ def break_out(model: Model, state: State) -> bool:
             r = truck_arm(model.car, i, k)
             x = state.q[i, 0] + r * math.cos(state.q[i, 2])
             y = state.q[i, 1] + r * math.sin(state.q[i, 2])
-            if abs(locate(model.track, x, y, state.truck_s[i, k])[1]) > reach:
+            if abs(locate_on(model, i, x, y, state.truck_s[i, k])[1]) > reach:
                 state.loose[i, k] = 1
                 some = True
     return some

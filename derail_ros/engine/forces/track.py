@@ -2,8 +2,9 @@
 
 Constraint: each truck on the rails stays on the centre line (``engine.track``), one row of J a
 truck; its multiplier is the lateral force of the rails, which does no work. Limit: a truck whose
-lateral force exceeds its share of the weight times ``lv_limit`` leaves the rails. Moments: a truck
-passes a rail break; a truck reaches its limit.
+lateral force exceeds its share of the weight times ``lv_limit`` leaves the rails. Where trucks
+have play between the rails (``truck_play``), what cars that stand askew in it press sideways in
+buff counts too (``askew_load``). Moments: a truck passes a rail break; a truck reaches its limit.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from __future__ import annotations
 import math
 
 from derail_ros.engine.arrays import F64, Model, Rows, State, Work
+from derail_ros.engine.forces.draft_gear import tension
 from derail_ros.engine.interpolation import LOCATED, cubic_root
 from derail_ros.engine.jit import inner_jit, keep_separate
 from derail_ros.engine.track import locate
+from derail_ros.engine.trigonometry import sincos
 
 OVERLOAD = 1e-3
 """A lateral derailment is located to this, relative to the limit."""
@@ -26,6 +29,34 @@ def truck_arm(car: Rows, i: int, k: int) -> float:
 
 
 @inner_jit
+def standing(model: Model, i: int) -> bool:
+    """Car ``i`` is not the train's own: it stands, or stood, on a second track."""
+    return i >= model.par[0].train
+
+
+@inner_jit
+def locate_on(
+    model: Model, i: int, x: float, y: float, s: float
+) -> tuple[float, float, float, float, float]:
+    """``locate`` on the track of car ``i``; a second track goes on beyond its ends."""
+    if standing(model, i):
+        own = model.side[int(model.car[i].line) : int(model.car[i].line_end)]
+        return locate(own, x, y, s)
+    return locate(model.track, x, y, s)
+
+
+@inner_jit
+def unmoved(model: Model, state: State, q: F64, i: int) -> bool:
+    """Car ``i`` stands on a second track and is to the bit where the accepted state has it."""
+    if not standing(model, i):
+        return False
+    for k in range(5):
+        if q[i, k] != state.q[i, k]:
+            return False
+    return True
+
+
+@inner_jit
 def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
     """Rows of J, offsets and curvature terms of the trucks on the rails into ``work.wk``.
 
@@ -35,6 +66,10 @@ def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
     wk = work.wk
     straight = model.track.shape[0] == 0
     for i in range(q.shape[0]):
+        if work.bound[i]:
+            state.truck_s[i, 0] = q[i, 0] + model.car[i].truck
+            state.truck_s[i, 1] = q[i, 0] - model.car[i].truck
+            continue
         ct = wk[i].ct
         st = wk[i].st
         for k in range(2):
@@ -44,7 +79,7 @@ def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
             row = work.row[i, k]
             x = q[i, 0] + r * ct
             y = q[i, 1] + r * st
-            if straight:
+            if straight and not standing(model, i):
                 row.nx = 0.0
                 row.ny = 1.0
                 row.arm = r * ct
@@ -52,9 +87,9 @@ def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
                 row.offset = y
                 state.truck_s[i, k] = x
             else:
-                s, d, h, kappa, _ = locate(model.track, x, y, state.truck_s[i, k])
-                nx = -math.sin(h)
-                ny = math.cos(h)
+                s, d, h, kappa, _ = locate_on(model, i, x, y, state.truck_s[i, k])
+                turn, ny = sincos(h)
+                nx = -turn
                 row.nx = nx
                 row.ny = ny
                 row.arm = r * (ct * ny - st * nx)
@@ -88,7 +123,8 @@ def truck_gamma(model: Model, state: State, work: Work, v: F64) -> None:
     par = model.par[0]
     wk = work.wk
     stabilize = par.project == 0.0
-    for i in range(v.shape[0]):
+    for a in range(1, 1 + work.live[0]):
+        i = work.live[a]
         ct = wk[i].ct
         st = wk[i].st
         for k in range(2):
@@ -116,6 +152,46 @@ def lateral_limit(model: Model, i: int) -> float:
 
 
 @inner_jit
+def askew_load(model: Model, state: State, q: F64, force: F64, i: int, k: int) -> float:
+    """Lateral force on truck ``k`` of car ``i``, N, as cars in buff stand askew in their play.
+
+    With their trucks on opposite rails the cars lie like the teeth of a saw. A coupling between
+    the cars a and b, its bar of the length l between the pivots, then leans by the angle
+
+        phi = p (d_P,a / d_T,a + d_P,b / d_T,b) / l
+
+    and pushes the pivots aside with phi times its buff, which the car's two trucks bear as on a
+    beam. The motion knows nothing of it: cars stay on the line. ``force`` is of the couplings, N.
+    """
+    car = model.car
+    load = 0.0
+    for end in range(2):
+        c = i - 1 + end
+        if c < 0 or c >= force.shape[0] or state.coupled[c] == 0:
+            continue
+        buff = -tension(q, force, c)
+        if buff <= 0.0:
+            continue
+        a = car[c]
+        b = car[c + 1]
+        lean = (a.pivot / a.truck + b.pivot / b.truck) / (a.rear + b.front)
+        arm = car[i].pivot + car[i].truck if end == k else car[i].pivot - car[i].truck
+        load += buff * model.par[0].truck_play * lean * arm / (2.0 * car[i].truck)
+    return load
+
+
+@inner_jit
+def lateral_load(
+    model: Model, state: State, q: F64, rail: F64, force: F64, i: int, k: int
+) -> float:
+    """Lateral force that counts against the limit of truck ``k`` of car ``i``, N."""
+    load = abs(rail[i, k])
+    if model.par[0].truck_play != 0.0:
+        load += askew_load(model, state, q, force, i, k)
+    return load
+
+
+@inner_jit
 def breaks_in_use(state: State) -> int:
     """Number of rail breaks: the unused rows are infinite and come last."""
     count = 0
@@ -125,11 +201,13 @@ def breaks_in_use(state: State) -> int:
 
 
 @inner_jit
-def break_passed(state: State, work: Work, i: int, k: int) -> float:
+def break_passed(model: Model, state: State, work: Work, i: int, k: int) -> float:
     """Track coordinate of the break that truck ``k`` of car ``i`` passed in the last step, m.
 
     In either direction, or reached within ``LOCATED``; nan without one.
     """
+    if standing(model, i):
+        return math.nan
     s0 = work.truck_s[i, k]
     s1 = state.truck_s[i, k]
     passed = math.nan
@@ -148,7 +226,7 @@ def on_track(model: Model, state: State) -> bool:
         return True
     first = model.track[0].s
     last = model.track[pieces - 1].s + model.track[pieces - 1].length
-    for i in range(state.q.shape[0]):
+    for i in range(int(model.par[0].train)):
         for k in range(2):
             if state.truck_on[i, k] and not first <= state.truck_s[i, k] <= last:
                 return False
@@ -171,7 +249,7 @@ def first_passing(model: Model, state: State, work: Work, h: float) -> float:
     breaks = breaks_in_use(state)
     if breaks == 0:
         return share
-    for i in range(state.q.shape[0]):
+    for i in range(int(model.par[0].train)):
         for k in range(2):
             if state.truck_on[i, k] == 0:
                 continue
@@ -202,9 +280,13 @@ def first_overload(model: Model, state: State, work: Work) -> float:
     for i in range(state.q.shape[0]):
         limit = lateral_limit(model, i)
         for k in range(2):
-            f1 = abs(work.lam_t[i, k])
-            if state.truck_on[i, k] and f1 > limit * (1.0 + OVERLOAD):
-                f0 = abs(state.rail_force[i, k])
+            if state.truck_on[i, k] == 0:
+                continue
+            f1 = lateral_load(model, state, work.stage_q, work.lam_t, work.lam_c, i, k)
+            if f1 > limit * (1.0 + OVERLOAD):
+                f0 = lateral_load(
+                    model, state, state.q, state.rail_force, state.coupler_force, i, k
+                )
                 if f0 >= limit:
                     share = 0.0
                 else:

@@ -1,0 +1,28 @@
+"""Docstrings of this project for mkdocstrings: ``name : what it is`` has no type."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import griffe
+
+SECTION = re.compile(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", re.M | re.S)
+ITEM = re.compile(r"^([\w*][\w, *]*?) : (.*(?:\n[ \t]+.*)*)", re.M)
+
+
+class Described(griffe.Extension):
+    """Moves what stands behind a colon into the description; the signature has the types."""
+
+    def on_instance(self, *, obj: Any, **kwargs: Any) -> None:
+        """Change a docstring as it is collected."""
+        if obj.docstring is not None:
+            obj.docstring.value = SECTION.sub(_section, obj.docstring.value)
+
+
+def _section(match: re.Match[str]) -> str:
+    def item(found: re.Match[str]) -> str:
+        text = " ".join(found[2].split())
+        return "\n".join(f"{name.strip()}\n    {text}" for name in found[1].split(","))
+
+    return f"{match[1]}\n{'-' * len(match[1])}\n{ITEM.sub(item, match[2])}"

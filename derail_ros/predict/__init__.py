@@ -1,0 +1,1 @@
+"""How many cars, how sure: predictions of accidents, and what they are learned from."""

@@ -1,0 +1,1 @@
+"""The engine in three dimensions: the same scenarios, moved by MuJoCo."""

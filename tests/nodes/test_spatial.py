@@ -1,0 +1,111 @@
+"""A run in three dimensions in the node: poses, frames, markers, events and its recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("derail_msgs")
+pytest.importorskip("mujoco")
+
+from derail_ros.cli import main
+from derail_ros.recording import read_manifest
+from derail_ros.recording.reader import read_bag
+from derail_ros.vocabulary.shapes import height_of
+from tests.nodes.graph import DEEP, graph
+from tests.nodes.support import small
+
+pytestmark = pytest.mark.ros
+
+SCENARIO = """\
+version: 1
+title: Three cars, the last one pushed over
+train: {speed_kmh: 20, consist: [{car: box_car, count: 3}]}
+initiation:
+  derailed_trucks: [{car: 3, truck: both}]
+  lateral_force_N: 400e3
+  lateral_force_duration_s: 2.0
+  lateral_force_car: 3
+  lateral_force_place: centre
+integration: {time_limit_s: 3.0}
+"""
+
+
+def turned(quaternion, vector):
+    """A vector of the body's frame in space; quaternion x, y, z, w."""
+    u, w = np.array(quaternion[:3]), quaternion[3]
+    return vector + 2.0 * np.cross(u, np.cross(u, vector) + w * np.array(vector))
+
+
+def numbers(pose):
+    """Place and quaternion of a message."""
+    p, q = (getattr(pose, k) for k in (("position", "orientation") if hasattr(pose, "position")
+                                       else ("translation", "rotation")))  # fmt: skip
+    return np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+
+
+def leaning(arrays):
+    """How far the upward axis of car 3's marker lies in the plane at most."""
+    markers = [m for array in arrays for m in array.markers]
+    boxes = [numbers(m.pose)[1] for m in markers if m.ns == "cars" and m.id == 3]
+    return max((np.hypot(*turned(turn, [0.0, 0.0, 1.0])[:2]) for turn in boxes), default=0.0)
+
+
+def test_a_car_rolls_over_in_the_node(tmp_path, capsys) -> None:
+    (tmp_path / "over.yaml").write_text(SCENARIO)
+    with graph(tmp_path) as made:
+        simulator = made.simulator(
+            ready=False,
+            scenario="over",
+            scenario_dirs=f"['{tmp_path}']",
+            model="spatial",
+            speed_factor=0.0,
+            await_listeners=1,
+            marker_rate=20.0,
+            record=tmp_path / "own",
+            **DEEP,
+        )
+        heard = made.listen("train_state", "car_poses", "/tf", "markers", "events", "outcome")
+        made.until(lambda: any(m.is_final for m in heard["outcome"]), "the run ends", simulator)
+        last = next(m for m in heard["outcome"] if m.is_final).header.stamp
+        for topic in ("train_state", "car_poses"):
+            made.until(lambda t=topic: any(m.header.stamp == last for m in heard[t]), topic)
+        made.until(
+            lambda: any(t.header.stamp == last for m in heard["/tf"] for t in m.transforms), "/tf"
+        )
+        made.until(lambda: leaning(heard["markers"]) > 0.9, "a marker of the car on its side")
+        assert simulator.end() == 0, simulator.output
+    assert "Traceback" not in simulator.output
+    outcome = next(m for m in heard["outcome"] if m.is_final)
+    measures = {q.key: list(q.values) for q in outcome.measures}
+    assert measures["cars_on_side"] == [1.0]
+    fell = next(e for e in heard["events"] if e.kind_name == "car_on_side")
+    assert list(fell.cars) == [3] and fell.z < 2.5
+
+    state = max(heard["train_state"], key=lambda m: m.time)
+    assert abs(state.roll[2]) > 1.4 and abs(state.roll[0]) < 0.05 and state.z[2] < -0.3
+    stamp = (state.header.stamp.sec, state.header.stamp.nanosec)
+    (poses,) = (
+        m.poses
+        for m in heard["car_poses"]
+        if (m.header.stamp.sec, m.header.stamp.nanosec) == stamp
+    )
+    place, turn = numbers(poses[2])
+    assert place == pytest.approx([state.x[2], state.y[2], state.z[2]])
+    up = turned(turn, [0.0, 0.0, 1.0])
+    assert up[2] == pytest.approx(np.cos(state.roll[2]) * np.cos(state.pitch[2]), abs=1e-9)
+    # the frame of a car stands below its centre of gravity, wherever that turns
+    height = height_of(small(SCENARIO).to_params().cars[2])
+    frames = {t.child_frame_id: t for m in heard["/tf"] for t in m.transforms
+              if t.header.stamp == state.header.stamp}  # fmt: skip
+    below, same = numbers(frames["car_3"].transform)
+    assert same == pytest.approx(turn)
+    assert below + turned(turn, [0.0, 0.0, height]) == pytest.approx(place + [0.0, 0.0, height])
+
+    (entry,) = read_manifest(tmp_path / "own").runs
+    assert entry.model == "spatial" and entry.outcome["cars_on_side"] == 1.0
+    own = read_bag(tmp_path / "own")
+    assert own.pose[-1, 2, 3] == pytest.approx(state.roll[2], abs=1e-6)
+    assert main(["replay", str(tmp_path / "own")]) == 0
+    assert "differ" not in capsys.readouterr().out

@@ -1,0 +1,44 @@
+"""What an outcome says of itself where it lies beyond what was compared."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from derail_ros.recording.recorded_run import SampledLine
+from derail_ros.vocabulary.limits import limits
+from derail_ros.vocabulary.outcome import Outcome
+
+
+def outcome(*cars: tuple[float, float, float]) -> Outcome:
+    """All of the cars have derailed; x, y (m) and heading (degrees) of each."""
+    pose = np.zeros((len(cars), 6))
+    pose[:, [0, 1, 5]] = [(x, y, math.radians(yaw)) for x, y, yaw in cars]
+    made = Outcome.nothing(pose, "at rest", 10.0)
+    return replace(made, derailed_cars=tuple(range(1, len(cars) + 1)))
+
+
+def test_a_pile_on_the_straight_has_no_limits() -> None:
+    assert limits(outcome((0.0, 2.0, 40.0), (-10.0, 0.1, -30.0)), SampledLine()) == []
+
+
+def test_cars_that_were_dragged_in_line() -> None:
+    pile = [(30.0, 3.0, 60.0), (15.0, 0.5, 2.0), (0.0, 0.5, 184.0), (-15.0, 0.2, -4.9)]
+    (said,) = limits(outcome(*pile), SampledLine())
+    assert said.startswith("cars 2, 4 are off the rails but in line with the track; they count")
+    assert limits(outcome((0.0, 1.6, 0.0)), SampledLine()) == [], "beside the track"
+
+
+def test_in_a_curve_headings_are_those_of_the_track() -> None:
+    s = np.linspace(0.0, 300.0, 301)
+    radius = 250.0
+    line = SampledLine(
+        s, radius * np.sin(s / radius), radius * (1 - np.cos(s / radius)), s / radius,
+        np.full(len(s), 1 / radius),
+    )  # fmt: skip
+    x, y, heading, _ = line.point(200.0)
+    curve, dragged = limits(outcome((x, y, math.degrees(heading) + 3.0)), line)
+    assert "a curve of 250 m radius" in curve
+    assert dragged.startswith("car 1 is off the rails but in line")
+    (curve,) = limits(outcome((x, y, 0.0)), line)
+    assert "a curve of 250 m radius" in curve
