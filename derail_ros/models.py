@@ -68,6 +68,11 @@ def build(params: TrainParams) -> Simulation:
     return engine(params.model).build(params)
 
 
-def engine_hash(name: str = PLANAR) -> str:
-    """Hash of all that decides what a model's engine computes."""
+def source_hash(name: str = PLANAR) -> str:
+    """Hash of the sources of a model's engine, equal on all machines."""
     return engine(name).source_hash()
+
+
+def engine_hash(name: str = PLANAR) -> str:
+    """Hash of all that decides what a model's engine computes, the processor too."""
+    return engine(name).engine_hash()

@@ -130,7 +130,7 @@ def _own(path: Path) -> bool:
 
 def write(options: Options) -> None:
     """Add runs to the bank of a folder."""
-    from derail_ros.models import engine_hash
+    from derail_ros.models import source_hash
 
     if not options.names or options.results is None:
         raise CommandFailure("name the files of the accident reports, and --results FOLDER")
@@ -147,7 +147,7 @@ def write(options: Options) -> None:
         lock = path.with_suffix(".lock")
         try:
             rows = compute_part(reports, folder, number, options.seed)
-            about = json.dumps({"engine": engine_hash(), "seed": options.seed})
+            about = json.dumps({"engine": source_hash(), "seed": options.seed})
             with open(path.with_suffix(".tmp"), "wb") as stream:
                 np.savez_compressed(stream, about=about, **rows)
             path.with_suffix(".tmp").replace(path)

@@ -361,7 +361,7 @@ def check(options: Options) -> None:
     The same: the mean of the ratio's logarithm within three standard errors or 0.02 of 0, and
     the two-sample test of Kolmogorov and Smirnov not below 1 %.
     """
-    from derail_ros.models import engine_hash
+    from derail_ros.models import source_hash
 
     if options.results is None:
         raise CommandFailure("--check: name the folder of the bank with --results")
@@ -382,10 +382,10 @@ def check(options: Options) -> None:
     path = config_path(*FILE)
     shipped = json.loads(path.read_text(encoding="utf-8"))
     known = shipped["provenance"]
-    if engine_hash() not in (known["engine"], *known["checked"]):
-        known["checked"].append(engine_hash())
+    if source_hash() not in (known["engine"], *known["checked"]):
+        known["checked"].append(source_hash())
         path.write_text(as_text(shipped), encoding="utf-8")
-    note(f"research: engine {engine_hash()[:16]} agrees")
+    note(f"research: engine {source_hash()[:16]} agrees")
 
 
 def again(bank: dict[str, NDArray], i: int) -> float:

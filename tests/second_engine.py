@@ -121,3 +121,5 @@ class BarEngine:
 
     def source_hash(self):
         return "bar"
+
+    engine_hash = source_hash

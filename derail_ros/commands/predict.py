@@ -59,7 +59,7 @@ def run(
     ] = None,
 ) -> int:  # fmt: skip
     """Predict how many cars derail, with bands, from runs with calibrated constants."""
-    from derail_ros.models import engine_hash
+    from derail_ros.models import source_hash
     from derail_ros.predict.prediction import predict
     from derail_ros.scenario.calibrated import load_calibrated
 
@@ -82,7 +82,7 @@ def run(
             subject, constants, group, draws=draws, seed=seed, jobs=jobs,
             progress=progress,
         )  # fmt: skip
-    warnings = [w for w in (constants.warning(engine_hash()), _outside(found)) if w]
+    warnings = [w for w in (constants.warning(source_hash()), _outside(found)) if w]
     report = {
         "title": title,
         **found.as_dict(hazardous),

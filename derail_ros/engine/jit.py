@@ -29,12 +29,21 @@ from derail_ros.engine.compiling import KernelCompiler, forget_constants
 
 
 def source_hash() -> str:
-    """Hash of the engine's sources, the compiler's versions and the processor (16 hex digits)."""
+    """Hash of the engine's sources (16 hex digits), equal on all machines."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parent
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode())
         digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def kernels_hash() -> str:
+    """Hash of the sources, the compiler's versions and the processor (16 hex digits).
+
+    Equal hashes compute equal bits.
+    """
+    digest = hashlib.sha256(source_hash().encode())
     for part in (
         numba.__version__,
         llvmlite.__version__,
@@ -83,7 +92,7 @@ def _choose(wanted: Path) -> tuple[Path, bool]:
 
 
 FOLDER_PREFIX = "kernels-"
-CACHE_DIR, CAN_KEEP = _choose(cache_root() / f"{FOLDER_PREFIX}{source_hash()}")
+CACHE_DIR, CAN_KEEP = _choose(cache_root() / f"{FOLDER_PREFIX}{kernels_hash()}")
 """Folder of this version's compiled kernels, and whether they can be kept there."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from derail_ros.engine.jit import source_hash
+from derail_ros.engine.jit import kernels_hash, source_hash
 from derail_ros.engine.simulation import PlanarSimulation
 from derail_ros.engine.warming import warm_up
 from derail_ros.vocabulary.params import TrainParams
@@ -30,8 +30,12 @@ class PlanarEngine:
         return warm_up(progress)
 
     def source_hash(self) -> str:
-        """Hash of the engine's sources, the compiler's versions and the processor."""
+        """Hash of the engine's sources."""
         return source_hash()
+
+    def engine_hash(self) -> str:
+        """Hash of the engine's sources, the compiler's versions and the processor."""
+        return kernels_hash()
 
 
 ENGINE = PlanarEngine()

@@ -52,15 +52,25 @@ class SpatialEngine:
         simulation(small_train()).advance_steps(1)
 
     def source_hash(self) -> str:
-        """Hash of this engine's sources, the planar engine's and MuJoCo's version."""
-        import mujoco
-
+        """Hash of this engine's sources and the planar engine's, whose tables it uses."""
         from derail_ros.engine.jit import source_hash
 
-        digest = hashlib.sha256(f"{source_hash()} {mujoco.__version__}".encode())
-        for path in sorted(Path(__file__).parent.glob("*.py")):
-            digest.update(path.read_bytes())
-        return digest.hexdigest()[:16]
+        return _digest(source_hash())
+
+    def engine_hash(self) -> str:
+        """The same with MuJoCo's version, the compiler's and the processor."""
+        import mujoco
+
+        from derail_ros.engine.jit import kernels_hash
+
+        return _digest(f"{kernels_hash()} {mujoco.__version__}")
+
+
+def _digest(text: str) -> str:
+    digest = hashlib.sha256(text.encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 ENGINE = SpatialEngine()

@@ -248,7 +248,10 @@ class Engine(Protocol):
         """Do what takes long once on a machine (compile kernels)."""
 
     def source_hash(self) -> str:
-        """Hash of all that decides what this engine computes."""
+        """Hash of this engine's sources, equal on all machines."""
+
+    def engine_hash(self) -> str:
+        """Hash of all that decides what this engine computes: equal hashes, equal bits."""
 
 
 FEATURES = {

@@ -44,7 +44,7 @@ def python(tree, code, cache=None, timeout=60):
 
 HASH = """
 import derail_ros.engine.jit as jit
-print(jit.source_hash(), jit.CACHE_DIR, jit.__file__)
+print(jit.kernels_hash(), jit.CACHE_DIR, jit.__file__)
 """
 
 
@@ -61,7 +61,7 @@ def test_the_hash_follows_every_source_file(tree, tmp_path):
     first, folder, file = python(tree, HASH, cache)
     assert Path(file).is_relative_to(tree)
     # where the sources lie does not matter, what they say does
-    assert first == jit.source_hash()
+    assert first == jit.kernels_hash()
     assert Path(folder).is_relative_to(cache)
     assert first in folder
     seen = {first}
@@ -75,9 +75,9 @@ for path in {[str(f) for f in files]!r}:
     path = Path(path)
     text = path.read_bytes()
     path.write_bytes(text + b"# edited\\n")
-    print(jit.source_hash())
+    print(jit.kernels_hash())
     path.write_bytes(text)
-print(jit.source_hash())
+print(jit.kernels_hash())
 """
     *edited, last = python(tree, code, cache)
     assert last == first
@@ -241,3 +241,10 @@ def test_equal_sources_share_their_kernels_wherever_they_are(tmp_path):
     edited = place("edited", law.replace("2.0", "3.0"))
     assert edited[:2] == here[:2] and edited[2] != here[2]
     assert jit._Locator.from_function(place, str(tmp_path / "nowhere.py")) is None
+
+
+def test_another_processor_has_other_kernels_of_the_same_sources(monkeypatch):
+    sources, kernels = jit.source_hash(), jit.kernels_hash()
+    monkeypatch.setattr(jit.llvmlite.binding, "get_host_cpu_name", lambda: "another")
+    assert jit.source_hash() == sources
+    assert jit.kernels_hash() != kernels

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from derail_ros import models
 from derail_ros.predict.emulator import Emulator, quick_distribution
 from derail_ros.predict.runs import members
 from derail_ros.predict.scores import mean
@@ -64,6 +65,12 @@ def test_shipped_draws_are_a_distribution_with_provenance() -> None:
     one = [shipped.draw(i, 7) for i in range(1000)]
     assert len({d.brake_distance for d in one}) > 500
     assert [shipped.draw(i, 7) for i in range(5)] == one[:5]
+
+
+@pytest.mark.slow
+def test_the_shipped_set_was_checked_with_this_engine() -> None:
+    """After an edit of the engine: ``python -m research calibration --check``."""
+    assert load_calibrated().warning(models.source_hash()) == ""
 
 
 def test_a_reports_train_has_its_mean_mass_and_length() -> None:
