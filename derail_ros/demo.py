@@ -170,31 +170,30 @@ def ros_value(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def start(
+@contextlib.contextmanager
+def started(
     module: str, parameters: dict[str, Any], log: Path, env: dict[str, str]
-) -> subprocess.Popen[bytes]:
-    """Start a node as a process, its output going to a file."""
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Have a node as a process, its output in a file; it is told to end, whatever happens."""
     command = [sys.executable, "-m", module, "--ros-args"]
     for name, value in parameters.items():
         command += ["-p", f"{name}:={ros_value(value)}"]
-    with log.open("wb") as stream:
-        return subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, env=env)
-
-
-@contextlib.contextmanager
-def ended(processes: Sequence[subprocess.Popen[bytes]]) -> Iterator[None]:
-    """See to it that processes end, in the order given, whatever happens."""
-    try:
-        yield
-    finally:
-        for process in processes:
+    with (
+        log.open("wb") as stream,
+        subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, env=env) as process,
+    ):
+        try:
+            yield process
+        finally:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
             try:
                 process.wait(timeout=15)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.wait()
+            except KeyboardInterrupt:
+                process.kill()
+                raise
 
 
 @contextlib.contextmanager
@@ -339,36 +338,32 @@ def run(scenario: str, speed_factor: float, output: Path | None, domain: int) ->
     env = environment(domain)
     heard = Heard()
     recorder_log, simulator_log = folder / "recorder.log", folder / "simulator.log"
-    recorder = start(
-        "derail_ros.nodes.recorder",
-        {"path": bag, "stop_when_final": True},
-        recorder_log,
-        env,
-    )
-    simulator = start(
-        "derail_ros.nodes.simulator",
-        {
-            "scenario": scenario,
-            "speed_factor": float(speed_factor),
-            "await_listeners": 1,
-            "auto_exit": True,
-        },
-        simulator_log,
-        env,
-    )
     console.print(
         f"[bold]{scenario}[/bold] at {speed_factor:g} times real time: "
         "nodes [bold]simulator[/bold] and [bold]recorder[/bold], "
         f"ROS_DOMAIN_ID {env['ROS_DOMAIN_ID']}"
     )
     page = Page()
-    with ended([simulator, recorder]), contextlib.closing(page), serving(page.board) as server:
+    with (
+        contextlib.closing(page),
+        serving(page.board) as server,
+        started(
+            "derail_ros.nodes.recorder", {"path": bag, "stop_when_final": True}, recorder_log, env
+        ) as recorder,
+        started(
+            "derail_ros.nodes.simulator",
+            {
+                "scenario": scenario,
+                "speed_factor": float(speed_factor),
+                "await_listeners": 1,
+                "auto_exit": True,
+            },
+            simulator_log,
+            env,
+        ) as simulator,
+    ):
         console.print(f"page: {server.addresses[0]}  (live, while it runs)", highlight=False)
-        try:
-            watch(heard, page, [simulator, recorder], env, began)
-        except KeyboardInterrupt:
-            console.print("interrupted")
-            return INTERRUPTED
+        watch(heard, page, [simulator, recorder], env, began)
     if simulator.returncode != 0 or recorder.returncode != 0 or not heard.final:
         for process, log in ((simulator, simulator_log), (recorder, recorder_log)):
             if process.returncode != 0 or not heard.final:
@@ -402,13 +397,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError:
         print("The demonstration needs ROS 2 (rclpy). Without it: derail simulate mississauga")
         return 1
+    # A supervisor's SIGTERM ends the nodes as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as held:
         try:
             domain = held.enter_context(free_domain(os.getpid()))
         except RuntimeError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
-        return run(arguments.scenario, arguments.speed_factor, arguments.output, domain)
+        try:
+            return run(arguments.scenario, arguments.speed_factor, arguments.output, domain)
+        except KeyboardInterrupt:
+            print("interrupted")
+            return INTERRUPTED
 
 
 if __name__ == "__main__":

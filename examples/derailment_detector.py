@@ -11,11 +11,14 @@ the detector vents the pipe at its car. A threshold is a choice: a real train al
 grade, by its rolling resistance and by the dynamic brake of its locomotives.
 """
 
-import contextlib
 import math
+import signal
+import threading
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, Imu
 
 from derail_msgs.srv import TriggerEmergencyBrake
@@ -66,9 +69,20 @@ class DerailmentDetector(Node):
 
 
 def main() -> None:
-    rclpy.init()
-    with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        rclpy.spin(DerailmentDetector())
+    # Not rclpy's own handlers and rclpy.spin: these wake the executor before they shut the context
+    # down. If the executor looks in between, it waits again, for ever.
+    asked = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = DerailmentDetector()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not asked.is_set():
+        executor.spin_once(timeout_sec=0.1)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

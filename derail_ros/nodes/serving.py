@@ -112,6 +112,7 @@ class RequestWaiter:
     def wait(self, executor: Any, due: float) -> None:
         """Serve what arrives until something is due (wall time, s)."""
         if self._thread.ident is None:
+            self._collect()
             self._thread.start()
             self._serve(executor)
         elif self._bell.acquire(timeout=max(0.0, due - time.monotonic())):
@@ -138,13 +139,15 @@ class RequestWaiter:
 
     def _serve(self, executor: Any) -> None:
         end = time.monotonic() + SERVE
-        while True:
-            executor.spin_once(timeout_sec=0.0)
-            # Entities may have changed: the parameter use_sim_time adds a subscription.
-            self._collect()
-            if time.monotonic() >= end or not self._ready():
-                break
-        self._again.release()
+        try:
+            while True:
+                executor.spin_once(timeout_sec=0.0)
+                # Entities may have changed: the parameter use_sim_time adds a subscription.
+                self._collect()
+                if time.monotonic() >= end or not self._ready():
+                    break
+        finally:
+            self._again.release()  # after an error, too: closing waits for the thread
 
     def _ready(self, seconds: float = 0.0) -> bool:
         """Whether there is a request or a message, after waiting for at most this long."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
+import signal
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("derail_msgs")
 
-from tests.nodes.graph import Graph, graph
+from tests.nodes.graph import Graph, Process, graph
 
 pytestmark = pytest.mark.ros
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "derailment_detector.py"
 DRAGGED = """\
 version: 1
 constants: published
@@ -45,24 +42,34 @@ def derailed(made: Graph, speed_factor: float) -> int:
     return len(made.until(final, "the end")[0].derailed_cars)
 
 
+def detector(made: Graph) -> Process:
+    """The example as a process that listens."""
+    process = made.start("examples.derailment_detector", car=5)
+    count = made.node.count_subscribers
+    made.until(lambda: count("/car_5/imu_front_truck"), "the detector listens", process)
+    return process
+
+
 def test_a_detector_saves_cars(tmp_path) -> None:
     """Undetected, the train drags its truck over the break; detected, it stops before or on it."""
     with graph(tmp_path) as made:
         made.simulator(scenario="", imu="5:front_truck", imu_noise=0.05, pipe_pressure="5")
         made.listen("outcome")
         without = derailed(made, speed_factor=0.0)
-        log = (tmp_path / "detector.log").open("wb")
-        process = subprocess.Popen(
-            [sys.executable, str(EXAMPLE), "--ros-args", "-p", "car:=5"],
-            env=made.env, stdout=log, stderr=log,
-        )  # fmt: skip
-        count = made.node.count_subscribers
-        made.until(lambda: count("/car_5/imu_front_truck"), "the detector listens")
+        process = detector(made)
         with_it = derailed(made, speed_factor=4.0)
-        process.terminate()
-        process.wait(60)
-    assert "nobody brakes" in (tmp_path / "detector.log").read_text()
+        assert process.end(signal.SIGTERM) == 0, process.output
+    assert "nobody brakes" in process.output
     # Cars behind the break's first victims are saved; the numbers are told by pytest -rP.
     print(f"derailed: {without} cars without, {with_it} with the detector")
     assert without == 6
     assert with_it <= 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_example_ends_at_a_signal(tmp_path, number) -> None:
+    """Alone, too, when nothing comes in that could wake it."""
+    with graph(tmp_path) as made:
+        process = detector(made)
+        assert process.end(number) == 0, process.output
+        assert "Traceback" not in process.output

@@ -28,7 +28,7 @@ from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.common import TIME_ZERO
 from msg_adapters.definitions import deserialize
 from msg_adapters.topics import STATE_TOPICS, TOPICS
-from tests.nodes.graph import DEEP, graph
+from tests.nodes.graph import DEEP, LIMIT_COMPILING, graph
 from tests.nodes.support import SMALL
 
 pytestmark = pytest.mark.ros
@@ -227,6 +227,27 @@ def test_the_demonstration_ends_by_itself(tmp_path, scenarios) -> None:
     assert "derails at the rail break" in told
     for name in ("final_scene.png", "peak_forces.png", "bag/bag.mcap", "bag/manifest.json"):
         assert (tmp_path / "out" / name).stat().st_size > 0
+
+
+def test_the_demonstration_ends_at_a_signal(tmp_path) -> None:
+    """With both its nodes, in the midst of the run."""
+    command = [sys.executable, "-m", "derail_ros.demo", "mississauga"]
+    command += ["--speed-factor", "1", "--output", str(tmp_path / "out")]
+    with subprocess.Popen(
+        command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        page = next(line.split()[1] for line in process.stdout if line.startswith("page: "))
+        with urllib.request.urlopen(page + "events", timeout=LIMIT_COMPILING) as stream:
+            assert any(line.startswith(b"event: state") for line in stream)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        assert len(children) == 2
+        process.terminate()
+        said = process.stdout.read()
+    assert process.returncode == 130 and "interrupted" in said and "Traceback" not in said
+    assert not any(Path(f"/proc/{child}").exists() for child in children)
+    for node in ("simulator", "recorder"):
+        assert "Traceback" not in (tmp_path / "out" / f"{node}.log").read_text()
 
 
 # --- the listener itself, without a graph ----------------------------------------------------

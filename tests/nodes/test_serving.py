@@ -1,0 +1,33 @@
+"""Waiting for requests: an error in a request's callback must not keep the node from ending."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("derail_msgs")
+
+from derail_ros.nodes.serving import RequestWaiter
+from tests.nodes.graph import LIMIT, graph
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize("before", [0, 1])
+def test_the_waiter_closes_after_an_error_in_a_callback(tmp_path, before) -> None:
+    """In the first round, in which its thread begins, and in the one after."""
+    fails = SimpleNamespace(spin_once=lambda timeout_sec: 1 // 0)
+    with graph(tmp_path) as made:
+        waiter = RequestWaiter(made.node, made.node.create_guard_condition(lambda: None))
+        for _ in range(before):
+            waiter.wait(made.executor, 0.0)
+        with pytest.raises(ZeroDivisionError):
+            waiter.wait(fails, time.monotonic() + LIMIT)
+        closing = threading.Thread(target=waiter.close, daemon=True)
+        closing.start()
+        closing.join(LIMIT)
+        assert not closing.is_alive()
