@@ -132,18 +132,18 @@ Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
 
 
 class Normal(Section):
-    """Normal, cut off at ``low`` and ``high`` where they are given."""
+    """Normal, truncated at ``low`` and ``high`` if given."""
 
-    mean: Number = _field(..., "", "mean before it is cut off")
-    sd: Number = _field(..., "", "standard deviation before it is cut off", gt=0)
+    mean: Number = _field(..., "", "mean before truncation")
+    sd: Number = _field(..., "", "standard deviation before truncation", gt=0)
     low: Number | None = _field(None, "", "least value")
     high: Number | None = _field(None, "", "largest value")
 
 
 class Lognormal(Section):
-    """Lognormal, cut off likewise."""
+    """Lognormal, truncated likewise."""
 
-    median: Number = _field(..., "", "median before it is cut off", gt=0)
+    median: Number = _field(..., "", "median before truncation", gt=0)
     sigma: Number = _field(..., "1", "standard deviation of the logarithm", gt=0)
     low: Number | None = _field(None, "", "least value")
     high: Number | None = _field(None, "", "largest value")
@@ -166,15 +166,15 @@ class Distribution(Section):
 
 
 class Uncertain(Distribution):
-    """What each member of an ensemble draws for a field: exactly one shape."""
+    """The distribution from which each member of an ensemble draws a field: exactly one shape."""
 
     uniform: tuple[Number, ...] | None = _field(
         None, "", "uniform between two values", min_length=2, max_length=2
     )
     values: tuple[Scalar, ...] | None = _field(
-        None, "", "one of these, each as likely", min_length=1, max_length=1000
+        None, "", "one of these, with equal probabilities", min_length=1, max_length=1000
     )
-    relative: Switch = _field(False, "", "factors on the value that the scenario has itself")
+    relative: Switch = _field(False, "", "draw factors on the scenario's own value")
 
 
 # --- rolling stock ----------------------------------------------------------------------------
@@ -249,7 +249,7 @@ class CarType(Section):
     """A car or locomotive of the library, or of ``train.car_types``."""
 
     title: Label = _field("", "", "what it is")
-    note: Text = _field("", "", "where the numbers come from")
+    note: Text = _field("", "", "source of the numbers")
     mass_kg: Number | None = _field(
         None, "kg", "mass; or give empty and loaded mass", gt=0, le=1e6
     )
@@ -318,7 +318,7 @@ class CarTypeFile(Section):
     """A file of car types in ``config/rolling_stock``."""
 
     version: Literal[1] = _field(..., "", "version of the format")
-    source: Text = _field("", "", "where the numbers come from")
+    source: Text = _field("", "", "source of the numbers")
     car_types: dict[TypeName, CarType] = _field(..., "", "types by name")
 
 
@@ -326,7 +326,7 @@ class CouplerTypeFile(Section):
     """A file of coupler types in ``config/rolling_stock``."""
 
     version: Literal[1] = _field(..., "", "version of the format")
-    source: Text = _field("", "", "where the numbers come from")
+    source: Text = _field("", "", "source of the numbers")
     coupler_types: dict[TypeName, CouplerSpec] = _field(..., "", "types by name")
 
 
@@ -408,7 +408,7 @@ class ConsistBlock(Section):
 
 
 class Train(Section):
-    """What runs, and how fast."""
+    """The train and its speed."""
 
     speed_kmh: Number = _field(..., "km/h", "speed at the start", gt=0, le=500)
     consist: tuple[ConsistBlock, ...] = _field(
@@ -457,7 +457,7 @@ class DraftGear(Section):
         DraftGearParams, "solid", "N/m", "stiffness that is added beyond", ge=0, le=1e11
     )
     start: Literal["stretched", "middle", "bunched"] = _field(
-        "stretched", "", "where the couplings stand in their slack at the start"
+        "stretched", "", "position of the couplings in their slack at the start"
     )
 
 
@@ -901,7 +901,7 @@ class Derailment(Section):
         DerailmentParams,
         "lv_hold",
         "s",
-        "for so long lv_limit must be exceeded; 0: at once",
+        "time for which lv_limit must be exceeded; 0: at once",
         later=True,
         ge=0,
         le=10,
@@ -910,7 +910,7 @@ class Derailment(Section):
         DerailmentParams,
         "truck_play",
         "m",
-        "play of trucks to either side between the rails, by which cars stand askew in buff",
+        "play of trucks to either side between the rails; cars in buff turn within it",
         later=True,
         ge=0,
         le=0.2,
@@ -919,7 +919,7 @@ class Derailment(Section):
         DerailmentParams,
         "guide_strength",
         "N",
-        "force across the track with which rails guide a derailed truck at most; 0: none",
+        "largest force across the track with which a rail guides a derailed truck; 0: none",
         later=True,
         ge=0,
         le=1e8,
@@ -1035,7 +1035,7 @@ class Integration(Section):
         IntegrationParams,
         "time_limit",
         "s",
-        "the run ends with the first step that ends then or later, at rest or not",
+        "the run ends with the first step that ends at this time or later, at rest or not",
         gt=0,
         le=1e5,
     )
@@ -1065,7 +1065,7 @@ Vertex = tuple[Number, Number]
 class Outlined(Section):
     """Something with an outline."""
 
-    name: Title = _field(..., "", "what outputs call it")
+    name: Title = _field(..., "", "name in outputs")
     outline_m: tuple[Vertex, ...] = _field(
         (), "m", "vertices [x, y] in the frame of the track", max_length=2000
     )
@@ -1075,7 +1075,7 @@ class Outlined(Section):
 
 
 class ZoneSpec(Outlined):
-    """Ground of its own within a polygon; of overlapping zones the last one counts."""
+    """Ground with constants of its own inside a polygon; where zones overlap, the last one counts."""
 
     factor: Number | None = _field(None, "1", "factor on the constants of `ground`", ge=0, le=100)
     preset: Literal["soil_lowest", "soil_highest"] | None = _field(
@@ -1113,15 +1113,15 @@ class FixedSpec(Outlined):
 
 
 class AreaSpec(Outlined):
-    """A polygon or a line of which it is told which cars come there."""
+    """A polygon or a line; the outcome says which cars enter it."""
 
     closed: Switch = _field(True, "", "a polygon, or else a line")
 
 
 class SecondTrackSpec(Section):
-    """A track beside the main one: so far to its left, or with an alignment of its own."""
+    """A track beside the main one: at an offset, or with an alignment of its own."""
 
-    name: Title = _field(..., "", "what outputs call it")
+    name: Title = _field(..., "", "name in outputs")
     offset_m: Number | None = _field(
         None, "m", "how far to the left of the main track; negative: right", ge=-1e3, le=1e3
     )
@@ -1130,7 +1130,7 @@ class SecondTrackSpec(Section):
         "m",
         "with offset_m: coordinate of the main track beside which it begins, and its own",
     )
-    to_m: Number | None = _field(None, "m", "the same of its end")
+    to_m: Number | None = _field(None, "m", "the same for its end")
     alignment: tuple[Piece, ...] = _field((), "", "or pieces as those of `track`", max_length=1000)
     start_coordinate_m: Number = _field(0.0, "m", "coordinate where the alignment begins")
     start_x_m: Number = _field(0.0, "m", "x where the alignment begins", ge=-1e6, le=1e6)
@@ -1170,14 +1170,16 @@ class Site(Section):
         "`local`: x and y in m",
         later=True,
     )
-    zones: tuple[ZoneSpec, ...] = _field((), "", "ground of its own", max_length=500, later=True)
+    zones: tuple[ZoneSpec, ...] = _field(
+        (), "", "polygons of ground with constants of their own", max_length=500, later=True
+    )
     fixed: tuple[FixedSpec, ...] = _field(
         (), "", "walls, piers and buildings", max_length=500, later=True
     )
     areas: tuple[AreaSpec, ...] = _field(
         (),
         "",
-        "lines and polygons of which it is told who comes there",
+        "lines and polygons; the outcome says which cars enter them",
         max_length=500,
         later=True,
     )
@@ -1202,14 +1204,16 @@ class ScenarioModel(Section):
 
     version: Literal[1] = _field(..., "", "version of the format")
     title: Title = _field(..., "", "what it is, in a line")
-    description: Text = _field("", "", "what it is, at length")
-    source: Text = _field("", "", "where the numbers come from")
-    model: TypeName = _field("planar", "", "model that computes the run, of `derail models`")
+    description: Text = _field("", "", "longer description")
+    source: Text = _field("", "", "source of the numbers")
+    model: TypeName = _field(
+        "planar", "", "model that computes the run; `derail models` lists them"
+    )
     constants: Literal["published", "calibrated"] | None = _field(
         None,
         "",
-        "set of constants for what is not given: the thesis' (published), or draws of what "
-        "accident reports leave open (calibrated); null: calibrated, if any of it is left open",
+        "constants for fields that are not given: published (the thesis') or calibrated (learned "
+        "from accident reports); null: calibrated, if such a field is left open",
         later=True,
     )
     drawn: tuple[Label, ...] = _field(
@@ -1229,7 +1233,7 @@ class ScenarioModel(Section):
         later=True,
         max_length=20,
     )
-    train: Train = _field(..., "", "what runs, and how fast")
+    train: Train = _field(..., "", "the train and its speed")
     couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")
     track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")
     initiation: Initiation = _field(Initiation(), "", "how the derailment starts")

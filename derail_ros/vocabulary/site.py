@@ -30,7 +30,7 @@ class GroundZone:
 
     Attributes
     ----------
-    name : what outputs call it
+    name : name in outputs
     outline : its polygon
     c_s, c_d, eps, c_v : constants of the ground reaction in it (``params.GroundParams``)
     rise : slope along x and y, rise per metre; it pushes what has left the rails downhill
@@ -52,7 +52,7 @@ class FixedBody:
 
     Attributes
     ----------
-    name : what outputs call it
+    name : name in outputs
     outline : its vertices
     closed : a polygon, or else a chain of segments
     force : with which one corner of a car pushes it in, N; infinite: rigid
