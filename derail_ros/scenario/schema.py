@@ -1075,7 +1075,7 @@ class Outlined(Section):
 
 
 class ZoneSpec(Outlined):
-    """Ground with constants of its own inside a polygon; where zones overlap, the last one counts."""
+    """Ground with its own constants inside a polygon; where zones overlap, the last one counts."""
 
     factor: Number | None = _field(None, "1", "factor on the constants of `ground`", ge=0, le=100)
     preset: Literal["soil_lowest", "soil_highest"] | None = _field(

@@ -289,7 +289,8 @@ def test_the_first_example_of_the_documentation_turns_cars(derail, first):
     text = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text(encoding="utf-8")
     words = (
         f"derails {outcome['cars_derailed']} cars, with a largest force of "
-        f"{outcome['peak_force_N'] * 1e-6:.1f} MN and a scene {outcome['scene_width_m']:.1f} m wide"
+        f"{outcome['peak_force_N'] * 1e-6:.1f} MN and a scene "
+        f"{outcome['scene_width_m']:.1f} m wide"
     )
     assert words in text
     assert f"after {outcome['first_derailment_s']:.2f} s" in " ".join(text.split())
