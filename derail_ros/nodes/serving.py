@@ -130,12 +130,12 @@ class RequestWaiter:
     def _watch(self) -> None:
         while True:
             self._again.acquire()
-            if self._closed:
-                return
             try:
+                if self._closed:
+                    return
                 self._ready(ROUND)
             finally:
-                self._bell.release()
+                self._bell.release()  # whoever has the turn rings once, at the end too
 
     def _serve(self, executor: Any) -> None:
         end = time.monotonic() + SERVE

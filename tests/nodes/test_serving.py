@@ -1,7 +1,8 @@
-"""Waiting for requests: an error in a request's callback must not keep the node from ending."""
+"""Waiting for requests must not keep a node from ending."""
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from types import SimpleNamespace
@@ -30,4 +31,24 @@ def test_the_waiter_closes_after_an_error_in_a_callback(tmp_path, before) -> Non
         closing = threading.Thread(target=waiter.close, daemon=True)
         closing.start()
         closing.join(LIMIT)
+        assert not closing.is_alive()
+
+
+def test_the_waiter_closes_before_its_thread_has_run(tmp_path) -> None:
+    """A request to quit is served, and the node closes before the thread gets the processor."""
+    interval = sys.getswitchinterval()
+    with graph(tmp_path) as made:
+        waiter = RequestWaiter(made.node, made.node.create_guard_condition(lambda: None))
+
+        def serve_and_close() -> None:
+            waiter.wait(made.executor, 0.0)
+            waiter.close()
+
+        closing = threading.Thread(target=serve_and_close, daemon=True)
+        sys.setswitchinterval(LIMIT)  # no thread is interrupted
+        try:
+            closing.start()
+            closing.join(LIMIT)
+        finally:
+            sys.setswitchinterval(interval)
         assert not closing.is_alive()
