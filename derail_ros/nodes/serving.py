@@ -78,7 +78,8 @@ class RequestWaiter:
     middleware with all services in it a third of that. Here one wait goes on until there is
     something to serve, or for a second, and the loop of the node sleeps on a lock. The guard
     condition ``woken`` ends the wait from any thread. While the executor runs, no wait goes on: it
-    may change what there is to wait for.
+    may change what there is to wait for. Tasks of the executor, which an action needs for its
+    result, do not show in a wait: each new one ends it.
     """
 
     def __init__(self, node: Any, woken: Any) -> None:
@@ -89,6 +90,24 @@ class RequestWaiter:
         self._bell.acquire()
         self._again.acquire()
         self._closed = False
+        self._tasks: list[Any] = []
+
+    def _note_tasks(self, executor: Any) -> None:
+        """Learn of each task that the executor gets."""
+        create = executor.create_task
+
+        def create_task(*args: Any, **kwargs: Any) -> Any:
+            task = create(*args, **kwargs)
+            self._tasks.append(task)
+            self._woken.trigger()
+            return task
+
+        executor.create_task = create_task
+
+    def _busy(self) -> bool:
+        """Whether a task of the executor is left."""
+        self._tasks = [task for task in self._tasks if not task.done()]
+        return bool(self._tasks)
 
     def _collect(self) -> None:
         """Make the wait set."""
@@ -112,6 +131,7 @@ class RequestWaiter:
     def wait(self, executor: Any, due: float) -> None:
         """Serve what arrives until something is due (wall time, s)."""
         if self._thread.ident is None:
+            self._note_tasks(executor)
             self._collect()
             self._thread.start()
             self._serve(executor)
@@ -144,9 +164,11 @@ class RequestWaiter:
                 executor.spin_once(timeout_sec=0.0)
                 # Entities may have changed: the parameter use_sim_time adds a subscription.
                 self._collect()
-                if time.monotonic() >= end or not self._ready():
+                if time.monotonic() >= end or not (self._busy() or self._ready()):
                     break
         finally:
+            if self._busy():
+                self._woken.trigger()
             self._again.release()  # after an error, too: closing waits for the thread
 
     def _ready(self, seconds: float = 0.0) -> bool:
