@@ -140,8 +140,8 @@ CARS = r"(all|[1-9]\d{0,3}(-[1-9]\d{0,3})?)"
 SENSORS: dict[str, dict[str, Any]] = {
     "odometry": {"what": "pose and velocity (nav_msgs/Odometry)", "rate": 50.0},
     "imu": {
-        "what": "acceleration and rates of turn (sensor_msgs/Imu) at a place of the car, such as "
-        "`20:front_truck`; `body`, unless it is given, `front_truck` or `rear_truck`",
+        "what": "acceleration and angular rates (sensor_msgs/Imu) at a place of the car, such as "
+        "`20:front_truck`; places: `body` (the default), `front_truck`, `rear_truck`",
         "rate": 200.0,
         "unit": "m/s^2",
         "places": "(:(body|front_truck|rear_truck))?",
@@ -173,18 +173,18 @@ def _sensor(
     yield Parameter(
         name,
         "",
-        f"cars that have the sensor, such as `1 20-25` or `all`: {what}",
+        f"cars with this sensor, such as `1 20-25` or `all`: {what}",
         read_only=True,
         numeric=True,
-        form=(f"\\s*({one}([\\s,]+{one})*)?\\s*", "numbers of cars, ranges a-b of them, or all"),
+        form=(f"\\s*({one}([\\s,]+{one})*)?\\s*", "car numbers, ranges a-b, or all"),
     )
     yield Parameter(
-        f"{name}_rate", rate, "its messages per second of run time", "Hz", (0.1, 5000.0),
+        f"{name}_rate", rate, "messages of this sensor per second of run time", "Hz", (0.1, 5000.0),
         read_only=True,
     )  # fmt: skip
     if unit:
         yield Parameter(
-            f"{name}_noise", 0.0, "standard deviation of its noise", unit, (0.0, 1e9),
+            f"{name}_noise", 0.0, "standard deviation of the noise", unit, (0.0, 1e9),
             read_only=True,
         )  # fmt: skip
 
@@ -236,15 +236,15 @@ SIMULATOR = (
     Parameter(
         "publish_tf",
         True,
-        "publish the frames of the cars and couplers on `/tf` at each tick, those of trucks and "
-        "heads of couplers on `/tf_static`",
+        "publish the frames of cars and couplers on `/tf` at each tick, and those of trucks and "
+        "coupler heads on `/tf_static`",
         read_only=True,
     ),
     Parameter(
         "frame_prefix",
         NAMESPACE,
-        f"put before the names of the train's frames and joints; `{NAMESPACE}`: the node's "
-        "namespace, so that trains in different ones have different frames",
+        f"prefix of the names of the train's frames and joints; `{NAMESPACE}`: the node's "
+        "namespace, so that trains in different namespaces have different frames",
         read_only=True,
         form=(f"({FRAME}/?)?", "the beginning of a frame's name, such as north/"),
     ),
@@ -257,7 +257,7 @@ SIMULATOR = (
         "legacy_service_names",
         False,
         "offer `~/set_simulation_state`, `~/step_simulation` and `~/reset_simulation` with the "
-        "types of derail_msgs, as before, in place of the standard's",
+        "types of derail_msgs, as in earlier versions, in place of the standard's",
         read_only=True,
     ),
     Parameter(
@@ -272,7 +272,7 @@ SIMULATOR = (
     Parameter(
         "imu_turn_noise",
         0.0,
-        "standard deviation of the rates of turn",
+        "standard deviation of the noise of the angular rates",
         "rad/s",
         (0.0, 10.0),
         read_only=True,
