@@ -179,7 +179,7 @@ def _sensor(
         form=(f"\\s*({one}([\\s,]+{one})*)?\\s*", "car numbers, ranges a-b, or all"),
     )
     yield Parameter(
-        f"{name}_rate", rate, "messages of this sensor per second of run time", "Hz", (0.1, 5000.0),
+        f"{name}_rate", rate, "messages per second of run time", "Hz", (0.1, 5000.0),
         read_only=True,
     )  # fmt: skip
     if unit:
