@@ -97,7 +97,7 @@ $(STAMPS)/msgs: $(MSGS_SOURCES) | $(STAMPS)/venv
 
 # What the wheels of PyPI lack of the interfaces of others; built like the messages, and seldom.
 $(STAMPS)/standard: $(STANDARD_SOURCES) | $(STAMPS)/venv
-	@echo "env: building simulation_interfaces and tf2_msgs against the ROS 2 wheels"
+	@echo "env: building simulation_interfaces, tf2_msgs and foxglove_msgs against the ROS 2 wheels"
 	@rm -f $(VENV)/wheels/derail_standard_interfaces-*
 	@$(call pip,standard_interfaces,wheel --no-deps --build-constraint constraints.txt \
 	  --wheel-dir $(VENV)/wheels ./standard_interfaces)

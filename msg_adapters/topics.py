@@ -107,6 +107,14 @@ MANIFEST = Topic("manifest", "std_msgs/msg/String", 1, True, "first and last in 
 TRANSFORMS = Topic(
     "/tf", "tf2_msgs/msg/TFMessage", 100, False, f"{STATE_RATE}; with `publish_tf`", False
 )
+ON_MAP = Topic(
+    "geojson",
+    "foxglove_msgs/msg/GeoJSON",
+    1,
+    True,
+    "on load and reset, and at the end; from the first scenario with `site.datum` on",
+    False,
+)
 LIVE_TOPICS = {
     topic.name: topic
     for topic in (
@@ -114,6 +122,7 @@ LIVE_TOPICS = {
         Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1, True, "on load and reset", False),
         Topic("joint_states", "sensor_msgs/msg/JointState", 10, False, STATE_RATE, False),
         TRANSFORMS,
+        ON_MAP,
     )
 }
 """Topics that no recording of the simulator holds, for they follow from those above."""

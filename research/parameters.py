@@ -6,7 +6,7 @@ import textwrap
 
 from derail_ros.nodes.parameters import NODES, Value
 from derail_ros.studies.tables import Table
-from msg_adapters.topics import TOPICS
+from msg_adapters.topics import LIVE_TOPICS, TOPICS
 from research.pages import ROOT, Options
 
 
@@ -63,7 +63,7 @@ def parameter_table(node: str) -> str:
 def topic_table() -> str:
     """Markdown table of the simulator's topics."""
     rows = []
-    for topic in TOPICS.values():
+    for topic in (*TOPICS.values(), *LIVE_TOPICS.values()):
         qos = f"reliable, {'transient local' if topic.latched else 'volatile'}, {topic.depth}"
         rows.append((f"`{topic.name}`", f"`{topic.msgtype}`", qos, topic.when))
     return Table(("name", "type", "QoS", "when"), rows, texts=4).markdown() + "\n"

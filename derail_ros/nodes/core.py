@@ -16,7 +16,7 @@ from typing import Any
 
 from derail_ros.nodes import commands, loading
 from derail_ros.nodes.commands import Answer, CommandLog, Refusal, Request
-from derail_ros.nodes.live import describe, live
+from derail_ros.nodes.live import NOTHING_ON_MAP, describe, live
 from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.own_recording import OwnRecording
 from derail_ros.nodes.pace import Pace
@@ -27,6 +27,7 @@ from derail_ros.vocabulary.events import EventKind
 from msg_adapters import reports
 from msg_adapters.common import NANOSECONDS, TIME_ZERO, RunContext
 from msg_adapters.markers import clear
+from msg_adapters.topics import ON_MAP
 
 NO_RUN = "no run is loaded"
 
@@ -234,6 +235,7 @@ class SimulatorCore:
             ended = self._session
             self._end("the run is unloaded")
             self._output.publish("markers", clear(ended.context, ended.time))
+            self._output.publish(ON_MAP.name, NOTHING_ON_MAP)
             self._output.renew()
             self.session, self.failure = None, ""
             self._go(State.STOPPED)

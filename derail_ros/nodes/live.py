@@ -1,7 +1,8 @@
-"""What a simulator sends beside the messages of its recordings: frames, joints, sensors."""
+"""What a simulator sends beside the messages of its recordings: frames, joints, sensors, maps."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -11,12 +12,14 @@ import numpy as np
 
 from derail_ros.nodes.outputs import Output
 from derail_ros.nodes.parameters import SENSORS, Settings
+from derail_ros.recording.recorded_run import Cars, SampledLine
 from derail_ros.recording.session import Prepared
+from derail_ros.review import maps
 from derail_ros.vocabulary.events import EventKind
-from derail_ros.vocabulary.place import datum_of
+from derail_ros.vocabulary.place import Datum, datum_of
 from derail_ros.vocabulary.sample import Sample
 from derail_ros.vocabulary.simulation import Simulation
-from msg_adapters import sensors
+from msg_adapters import reports, sensors
 from msg_adapters.common import RunContext
 from msg_adapters.definitions import serialize
 from msg_adapters.frames import (
@@ -25,12 +28,25 @@ from msg_adapters.frames import (
     robot_description,
     static_transforms,
 )
-from msg_adapters.reports import string
+from msg_adapters.markers import (
+    BALLAST,
+    CONCRETE,
+    DERAILED,
+    GREEN,
+    HARD,
+    ON_RAILS,
+    SOIL,
+    STANDING,
+    STRUCK_HARD,
+)
 from msg_adapters.sensors import Sensor
+from msg_adapters.topics import ON_MAP, Topic
 
 Messages = list[tuple[str, bytes]]
 GRAIN = 1e-9
 """Times closer than this are the same, s."""
+SENSOR_DEPTH = 100
+"""Depth of the topics of sensors: half a second of the fastest usual ones."""
 
 
 def chosen_cars(text: str, n_cars: int) -> list[tuple[int, str]]:
@@ -48,6 +64,61 @@ def chosen_cars(text: str, n_cars: int) -> list[tuple[int, str]]:
             low, high = sorted((int(first), int(last or first)))
             found |= {(i - 1, place): None for i in range(low, min(high, n_cars) + 1)}
     return list(found)
+
+
+def _style(told: dict[str, Any]) -> dict[str, Any]:
+    """How a map of Foxglove draws a feature: in the colours of the markers."""
+    if "car" not in told:
+        roles = {"fixed": CONCRETE, "zone": SOIL, "area": GREEN}
+        color, filled = roles.get(told["role"], BALLAST), 0.1
+    elif told["largest_force_N"] > HARD:
+        color, filled = STRUCK_HARD, 0.6
+    elif told["derailed"]:
+        color, filled = DERAILED, 0.6
+    else:
+        color, filled = STANDING if told["standing"] else ON_RAILS, 0.6
+    code = "#" + "".join(f"{round(255 * part):02x}" for part in color)
+    return {"color": code, "weight": 2, "fillOpacity": filled}
+
+
+class OnMap:
+    """The place of a run and its cars at rest, as ``foxglove_msgs/GeoJSON``."""
+
+    def __init__(
+        self, prepared: Prepared, simulation: Simulation, context: RunContext, datum: Datum
+    ) -> None:
+        self._simulation, self._map = simulation, maps.Map(datum)
+        self._start = simulation.sample()
+        params, track = simulation.params, simulation.track
+        coordinates = reports.track_coordinates(track, self._start.truck_coordinate)
+        self._line = SampledLine.of_message(reports.track(track, coordinates, (), context))
+        self._cars = Cars.of_message(
+            reports.consist(params, context, car_types=prepared.car_types)
+        )
+
+    def message(self, *, ended: bool) -> bytes:
+        """CDR bytes; the cars are there once the run has ended."""
+        run = self._simulation
+        pose = np.stack([self._start.pose, run.sample().pose])
+        found = maps.place(self._line, run.params.site, pose, self._map)
+        if ended:
+            collisions = run.collisions
+            found += maps.footprints(
+                self._cars, self._line, pose[1], run.outcome(), collisions, self._map
+            )
+        for feature in found:
+            told = feature["properties"]
+            told["style"] = _style(told)
+            told.setdefault("name", f"car {told.get('car')}: {told.get('type')}")
+        return geojson(self._map.collection(found))
+
+
+def geojson(data: dict[str, Any]) -> bytes:
+    """CDR bytes of ``foxglove_msgs/GeoJSON``, which are those of a text."""
+    return serialize(reports.string(json.dumps(data)))
+
+
+NOTHING_ON_MAP = geojson({"type": "FeatureCollection", "features": []})
 
 
 class LiveMessages:
@@ -77,14 +148,14 @@ class LiveMessages:
         self._datum = datum_of(site)
         if settings.navsat and self._datum is None:
             log.warning(f"no navsat: the scenario {prepared.name} has no site.datum")
+        self._on_map: OnMap | None = None
+        if self._datum is not None and output.offer(ON_MAP):
+            self._on_map = OnMap(prepared, simulation, context, self._datum)
         # Rate, number of measurements so far, sensor.
         self._sensors: list[list[Any]] = []
         for rate, sensor in self._make_sensors():
-            try:
-                output.offer(sensor.topic, sensor.msgtype)
+            if output.offer(Topic(sensor.topic, sensor.msgtype, SENSOR_DEPTH, False, "")):
                 self._sensors.append([rate, 0, sensor])
-            except ImportError as error:
-                log.warning(f"no {sensor.topic}: {error}")
         self.due = 0.0 if self._sensors else math.inf
 
     def _make_sensors(self) -> Iterator[tuple[float, Sensor]]:
@@ -114,12 +185,18 @@ class LiveMessages:
                     yield rate, sensors.PipePressure(car, *common, self._reached)
 
     def begin(self) -> Messages:
-        """What is latched: the description of the train, and the frames that do not move."""
+        """What is latched: the train's description, frames that do not move, the place."""
         params, prefix = self._simulation.params, self._settings.prefix
         messages = [("robot_description", describe(self._prepared, self._settings))]
         if self._settings.publish_tf:
             messages.append(("/tf_static", static_transforms(params, self._context, prefix)))
-        return messages
+        # A map that still shows the run before is cleared.
+        place = NOTHING_ON_MAP if self._on_map is None else self._on_map.message(ended=False)
+        return [*messages, (ON_MAP.name, place)]
+
+    def end(self) -> Messages:
+        """What is latched when the run has ended: the map with the cars."""
+        return [] if self._on_map is None else [(ON_MAP.name, self._on_map.message(ended=True))]
 
     def tick(self, sample: Sample) -> Messages:
         """Frames and joints that somebody listens to."""
@@ -149,7 +226,7 @@ def describe(prepared: Prepared, settings: Settings) -> bytes:
     kept = prepared.kept
     if "robot_description" not in kept:
         text = robot_description(prepared.simulation.params, settings.frame_id, settings.prefix)
-        kept["robot_description"] = serialize(string(text))
+        kept["robot_description"] = serialize(reports.string(text))
     return bytes(kept["robot_description"])
 
 

@@ -21,8 +21,6 @@ LISTENERS_WAIT = 10.0
 """Wall time for which a node waits for listeners (parameter await_listeners), s."""
 FIRST_WAIT = 5.0
 """Wall time for which it then waits until its first messages have arrived, s."""
-OFFERED_DEPTH = 100
-"""Depth of the topics of sensors: half a second of the fastest usual ones."""
 TWINS_EVERY = 1.0
 """Wall time between two looks for other publishers of the same topics, s."""
 PRESENT = (0.0, 1.0, 3.0, 8.0)
@@ -46,8 +44,8 @@ class Output(Protocol):
     def wanted(self, name: str) -> bool:
         """Whether anybody listens to a topic."""
 
-    def offer(self, name: str, msgtype: str) -> None:
-        """Publish a topic that is not in the table, unless it is published already."""
+    def offer(self, topic: Topic) -> bool:
+        """Publish a topic, unless it is published already; whether its type is installed."""
 
 
 def make_publisher(node: Any, name: str, msgtype: str, qos: Any) -> Any:
@@ -106,6 +104,7 @@ class Outputs:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._channels: dict[str, _Channel] = {}
+        self._absent: set[str] = set()
         self._busy = False
 
     def open(self, name: str, make: Callable[[], Any], latched: bool = False) -> None:
@@ -116,11 +115,25 @@ class Outputs:
         """Whether anybody listens to a topic."""
         return self.subscribers(name) > 0
 
-    def offer(self, name: str, msgtype: str) -> None:
-        """Publish a topic that is not in the table, unless it is published already."""
-        if name not in self._channels:
-            qos = rclpy_qos(Topic(name, msgtype, OFFERED_DEPTH, False, ""))
-            self.open(name, lambda: make_publisher(self._node, name, msgtype, qos))
+    def offer(self, topic: Topic) -> bool:
+        """Publish a topic, unless it is published already.
+
+        False, and said once, if its type is not installed.
+        """
+        name = topic.name
+        if name in self._channels or name in self._absent:
+            return name in self._channels
+        try:
+            rclpy_class(topic.msgtype)
+        except (ImportError, AttributeError) as error:
+            self._absent.add(name)
+            self._node.get_logger().warning(f"no {name}: {error}")
+            return False
+        qos = rclpy_qos(topic)
+        self.open(
+            name, lambda: make_publisher(self._node, name, topic.msgtype, qos), topic.latched
+        )
+        return True
 
     def close(self, name: str) -> None:
         """Publish a topic no longer."""

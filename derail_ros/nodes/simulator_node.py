@@ -26,7 +26,6 @@ from derail_ros.nodes.outputs import (
     ListenerWait,
     Outputs,
     TwinWatch,
-    make_publisher,
 )
 from derail_ros.nodes.parameters import Settings
 from derail_ros.nodes.process import FAILED, OK, Program, Stop, starting
@@ -36,12 +35,11 @@ from derail_ros.recording.session import Prepared
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.topics import (
     LIVE_TOPICS,
+    ON_MAP,
     STATE_TOPICS,
     TOPICS,
-    Topic,
     check_interfaces,
     rclpy_class,
-    rclpy_qos,
 )
 
 EXIT_WAIT = 5.0
@@ -78,17 +76,14 @@ class Simulator(Program):
         settings.check_frames()
         self.outputs = Outputs(node)
         for topic in (*TOPICS.values(), *LIVE_TOPICS.values()):
-            if topic.name == CLOCK or (topic.name.startswith("/tf") and not settings.publish_tf):
-                continue
-            try:
-                self._open(topic)
-            except ImportError as error:
-                self.log.warning(f"no {topic.name}: {error}")
+            transforms = topic.name.startswith("/tf")
+            if topic not in (TOPICS[CLOCK], ON_MAP) and (settings.publish_tf or not transforms):
+                self.outputs.offer(topic)
         self.core = SimulatorCore(settings, self.outputs, self.log, time.monotonic)
         self._loop = Loop(self.core, self.outputs, time.monotonic)
         self._guard = ClockGuard(
             node,
-            lambda: self._open(TOPICS[CLOCK]),
+            lambda: self.outputs.offer(TOPICS[CLOCK]),
             lambda: self.outputs.close(CLOCK),
             settings.publish_clock,
         )
@@ -112,12 +107,6 @@ class Simulator(Program):
             # A mistake in the scenario is reported before kernels are compiled.
             scenario = loading.read(settings.scenario, "", settings.scenario_dirs, settings.model)
             self._model = scenario.model.model
-
-    def _open(self, topic: Topic) -> None:
-        def make() -> Any:
-            return make_publisher(self.node, topic.name, topic.msgtype, rclpy_qos(topic))
-
-        self.outputs.open(topic.name, make, topic.latched)
 
     def start(self, stop: Stop) -> None:
         """Compile or load the kernels, make the first scenario ready, offer the services."""

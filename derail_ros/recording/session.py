@@ -121,6 +121,9 @@ class Live(Protocol):
     def tick(self, sample: Sample) -> list[tuple[str, bytes]]:
         """Topic name and CDR bytes of the messages of a tick."""
 
+    def end(self) -> list[tuple[str, bytes]]:
+        """The same of what is latched when the run has ended."""
+
     def measure(self, sample: Sample) -> list[tuple[str, bytes]]:
         """The same of the sensors that measure at ``due``, which moves on."""
 
@@ -432,6 +435,8 @@ class Session:
             kind = EventKind.RUN_VOID if simulation.outcome().void else EventKind.RUN_ENDED
             self._publish_event(Event(kind, simulation.time, self.step, cause=simulation.status))
         self._publish_outcome(self.time)
+        if self._live is not None:
+            self._send_live(self.stamp, self._live.end())
         self.finished = True
 
     def fail(self, error: Exception) -> None:

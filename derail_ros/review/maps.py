@@ -15,9 +15,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from derail_ros.recording.recorded_run import RecordedRun
+from derail_ros.recording.recorded_run import Cars, RecordedRun, SampledLine
+from derail_ros.vocabulary.events import Collision
+from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.place import Datum, datum_of
 from derail_ros.vocabulary.scene import car_corners
+from derail_ros.vocabulary.site import SiteParams
 from derail_ros.vocabulary.status import CORNERS
 from derail_ros.vocabulary.words import finite
 
@@ -72,27 +75,33 @@ def outlines(cars: Any, pose: F64) -> F64:
     return car_corners(pose, cars.length, cars.width)[:, ROUND]
 
 
-def footprints(run: RecordedRun, on: Map) -> list[Feature]:
-    """The cars at the end: what they are, and what happened to them."""
-    outcome = run.outcome
-    corners = outlines(run.cars, run.pose[-1])
-    _, offset = run.line.locate_all(*run.pose[-1][:, :2].T)
+def footprints(
+    cars: Cars,
+    line: SampledLine,
+    pose: F64,
+    outcome: Outcome,
+    collisions: Iterable[Collision],
+    on: Map,
+) -> list[Feature]:
+    """The cars in a pose (N, 6): what they are, and what happened to them."""
+    corners = outlines(cars, pose)
+    _, offset = line.locate_all(*pose[:, :2].T)
     struck: dict[int, tuple[float, str]] = {}
-    for c in run.collisions:
+    for c in collisions:
         for car, by in ((c.car_a, c.object or f"car {c.car_b}"), (c.car_b, f"car {c.car_a}")):
             if car and c.peak_force > struck.get(car, (0.0, ""))[0]:
                 struck[car] = (c.peak_force, by)
     found = []
-    for i in np.flatnonzero(run.cars.real):
+    for i in np.flatnonzero(cars.real):
         force, by = struck.get(int(i) + 1, (0.0, ""))
         found.append(
             on.feature(
                 corners[i],
                 True,
                 car=int(i) + 1,
-                type=run.cars.kind[i] or run.cars.name[i],
-                contents=run.cars.contents[i],
-                standing=bool(run.cars.cut[i]),
+                type=cars.kind[i] or cars.name[i],
+                contents=cars.contents[i],
+                standing=bool(cars.cut[i]),
                 derailed=int(i) + 1 in (*outcome.derailed_cars, *outcome.standing.derailed),
                 side="left" if offset[i] > 0.0 else "right",
                 offset_m=round(float(offset[i]), 2),
@@ -130,15 +139,15 @@ def paths(run: RecordedRun, on: Map) -> list[Feature]:
     return found
 
 
-def place(run: RecordedRun, on: Map) -> list[Feature]:
-    """The track, and what stands beside it."""
-    ahead = run.pose[:, :, :2].reshape(-1, 2)
-    if len(run.line.x):
-        line = np.stack([run.line.x, run.line.y], axis=1)
+def place(line: SampledLine, site: SiteParams, pose: F64, on: Map) -> list[Feature]:
+    """The track, and what stands beside it; a straight reaches 50 m beyond poses (..., 6)."""
+    if len(line.x):
+        points = np.stack([line.x, line.y], axis=1)
     else:
-        line = np.array([[ahead[:, 0].min() - 50.0, 0.0], [ahead[:, 0].max() + 50.0, 0.0]])
-    found = [on.feature(line, False, role="track", name="track")]
-    for shape in run.site.shapes(run.line):
+        x = pose[..., 0]
+        points = np.array([[x.min() - 50.0, 0.0], [x.max() + 50.0, 0.0]])
+    found = [on.feature(points, False, role="track", name="track")]
+    for shape in site.shapes(line):
         found.append(on.feature(shape.points, shape.closed, role=shape.role, name=shape.name))
     return found
 
@@ -259,9 +268,11 @@ def export(run: RecordedRun, output: Path, members: Sequence[F64] = ()) -> dict[
     """
     on = Map(datum_of(run.scenario.get("site")))
     layers = {
-        "footprints": footprints(run, on),
+        "footprints": footprints(
+            run.cars, run.line, run.pose[-1], run.outcome, run.collisions, on
+        ),
         "paths": paths(run, on),
-        "place": place(run, on),
+        "place": place(run.line, run.site, run.pose, on),
     }
     if members:
         layers["covered"] = cover_features(covered(members), len(members), on)

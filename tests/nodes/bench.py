@@ -11,7 +11,7 @@ from derail_ros.nodes.core import SimulatorCore
 from derail_ros.nodes.loop import Loop
 from derail_ros.nodes.parameters import Settings
 from msg_adapters.definitions import deserialize
-from msg_adapters.topics import TOPICS
+from msg_adapters.topics import TOPICS, Topic
 from tests.nodes.support import SMALL
 
 BAD: list[tuple[str, dict[str, Any], str]] = [
@@ -77,8 +77,9 @@ class Heard:
     def renew(self) -> None:
         self.runs += 1
 
-    def offer(self, name: str, msgtype: str) -> None:
-        self.offered[name] = msgtype
+    def offer(self, topic: Topic) -> bool:
+        self.offered[topic.name] = topic.msgtype
+        return True
 
     def wanted(self, name: str) -> bool:
         return name not in self.unheard

@@ -9,7 +9,7 @@ import pytest
 
 from derail_ros.nodes import outputs
 from derail_ros.nodes.outputs import RETIRED_MOST, Outputs
-from msg_adapters.topics import TOPICS
+from msg_adapters.topics import TOPICS, Topic
 
 
 class Publisher:
@@ -58,6 +58,18 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     return Bench(monkeypatch)
+
+
+def test_a_type_that_is_not_installed_is_told_once() -> None:
+    said: list[str] = []
+    node = SimpleNamespace(get_logger=lambda: SimpleNamespace(warning=said.append))
+    output = Outputs(node)
+    absent = Topic("map", "nobodys_msgs/msg/Map", 1, True, "")
+    for _ in range(3):
+        assert not output.offer(absent)
+    output.publish("map", b"")
+    output.renew()
+    assert said == ["no map: No module named 'nobodys_msgs'"]
 
 
 def test_each_latched_topic_begins_anew_with_a_run(bench: Bench) -> None:

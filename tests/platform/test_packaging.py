@@ -37,7 +37,14 @@ BROUGHT = {
     "mcap": {"lz4", "zstandard"},
 }
 # what a ROS 2 distribution always has with rclpy, and what is built here or is ROS's own tooling
-NOT_ON_PYPI = {"derail_msgs", "launch", "launch_ros", "simulation_interfaces", "tf2_msgs"}
+NOT_ON_PYPI = {
+    "derail_msgs",
+    "foxglove_msgs",
+    "launch",
+    "launch_ros",
+    "simulation_interfaces",
+    "tf2_msgs",
+}
 LINTERS = {"ruff", "mypy", "import-linter", "codespell", "proselint"}
 WHEELS_ONLY = {"rmw_fastrtps_cpp", "rosidl_default_runtime", "rosidl_generator_py"}
 

@@ -1,4 +1,4 @@
-"""simulation_interfaces and tf2_msgs as they are installed: those of the standard."""
+"""simulation_interfaces, tf2_msgs and foxglove_msgs as they are installed: those of their own."""
 
 import importlib
 import json
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 HASHES = json.loads(Path(__file__).with_name("standard_hashes.json").read_text(encoding="utf-8"))
-"""Hashes (REP 2011) of the types of simulation_interfaces 2.1.0, computed from its own files."""
+"""Hashes (REP 2011) of the types of simulation_interfaces 2.1.0 and foxglove_msgs 3.2, computed
+from their own files."""
 
 pytest.importorskip("rclpy")
 
