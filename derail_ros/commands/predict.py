@@ -20,14 +20,14 @@ DRAWS = 1000
 
 def run(
     scenario: Annotated[
-        str | None, typer.Argument(help="Name of a scenario, or a YAML file; or give a train.")
+        str | None, typer.Argument(help="Name of a scenario, or a YAML file. Or describe a train with the options.")
     ] = None,
     settings: Settings = None,
     speed_mph: Annotated[float | None, typer.Option(min=1.0, max=150.0, help="mph.")] = None,
     speed_kmh: Annotated[float | None, typer.Option(min=1.0, max=240.0, help="km/h.")] = None,
     behind: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, help="Cars from the first one involved to the end."),
+        typer.Option(min=1, max=1000, help="Cars from the first one that derails to the end of the train."),
     ] = None,
     tons: Annotated[
         float | None,
@@ -43,12 +43,12 @@ def run(
                           "of the FRA's such as T207.")
     ] = "broken_rail",
     hazardous: Annotated[
-        int, typer.Option(min=0, help="Tank cars among those behind, anywhere.")
+        int, typer.Option(min=0, help="Tank cars among those behind; counts how many release.")
     ] = 0,
     placement: Annotated[
         int,
-        typer.Option(min=0, help="Tank cars to place: where in a scenario's train are they least "
-                     "at risk?"),
+        typer.Option(min=0, help="Find where in a scenario's train this many tank cars are least "
+                     "at risk."),
     ] = 0,
     draws: Annotated[int, typer.Option("--draws", "-n", min=20, help="Runs.")] = DRAWS,
     seed: Seed = 0,
@@ -71,7 +71,7 @@ def run(
     constants = load_calibrated()
     params = subject.to_params() if placement and scenario is not None else None
     if placement and (params is None or not placement < len(params.cars)):
-        raise CommandFailure("--placement: needs a scenario with more cars than that")
+        raise CommandFailure("--placement: name a scenario with more cars than that")
     if output is not None:
         output = common.output_directory(output)
     if params is not None:
@@ -165,10 +165,10 @@ def _subject(
             raise CommandFailure(f"{', '.join(clash)}: a scenario has its own train")
         scenario = common.load(name, settings)
         if scenario.n_cars < 2:
-            raise CommandFailure(f"{scenario.name}: a train of one car")
+            raise CommandFailure(f"{scenario.name}: needs at least two cars, has one")
         return scenario, scenario.title
     if settings:
-        raise CommandFailure("--set: changes a scenario; name one")
+        raise CommandFailure("--set: name a scenario to change")
     if kmh is None or behind is None:
         raise CommandFailure("name a scenario, or give --speed-mph and --behind")
     tonnes = 100.0 * KG_PER_SHORT_TON / 1e3 if tonnes is None else tonnes
@@ -192,7 +192,7 @@ def _outside(found: Prediction) -> str:
         beyond.append(f"{t.behind} cars behind (up to 150)")
     if not beyond:
         return ""
-    return f"outside of what most reports tell of, so hardly tested: {', '.join(beyond)}"
+    return f"hardly tested, because few reports have such a train: {', '.join(beyond)}"
 
 
 def _print(found: Prediction, report: Any, title: str, output: Path | None) -> None:
@@ -200,12 +200,12 @@ def _print(found: Prediction, report: Any, title: str, output: Path | None) -> N
     from derail_ros.studies.tables import Table
 
     console = common.out()
-    console.print(f"[bold]{title}[/bold]", highlight=False)
+    console.print(title, style="bold", markup=False)
     for sentence in found.sentences():
         console.print(sentence, soft_wrap=True)
     console.print()
     rows = [("cars derailed", report["cars_derailed"], "")]
-    rows += [(f"by the {d['words']}", d, "") for d in report["statistical"].values()]
+    rows += [(f"cars derailed, {d['words']}", d, "") for d in report["statistical"].values()]
     rows += [
         ("cars struck above 5 MN", report["cars_struck"]["above_5MN"], ""),
         ("cars struck above 10 MN", report["cars_struck"]["above_10MN"], ""),

@@ -43,7 +43,7 @@ def picture(found: Prediction, title: str) -> Figure:
     t = found.train
     heading(
         page, title,
-        f"{t.speed * 3.6:.0f} km/h, {t.behind} cars from the first one involved on, "
+        f"{t.speed * 3.6:.0f} km/h, {t.behind} cars from the break to the end, "
         f"{t.mass / 1e3:.0f} t a car, {CAUSES[found.cause]}; constants: {found.constants}",
         fits=52,
     )  # fmt: skip
@@ -59,10 +59,10 @@ def picture(found: Prediction, title: str) -> Figure:
     less, _ = np.histogram(counts[good & few], edges)
     k = np.arange(1, top + 1)[: len(pile)]
     axes.bar(k, share * less, width=0.9, color=FEW_COLOUR, hatch="....", edgecolor="white",
-             lw=0.0, label="few cars, dragged along (learned share)")  # fmt: skip
-    axes.bar(k, share * pile, width=0.9, bottom=share * less, color=BLUE, label="a pile")
+             lw=0.0, label="a few cars, dragged along (learned share)")  # fmt: skip
+    axes.bar(k, share * pile, width=0.9, bottom=share * less, color=BLUE, label="a pile-up")
     dress(axes, "y")
-    axes.set_ylabel("of such accidents, %")
+    axes.set_ylabel("share of such accidents, %")
     axes.set_xlim(0.0, top)
     axes.legend(frameon=False, fontsize=9, loc="upper right")
 
@@ -80,15 +80,15 @@ def picture(found: Prediction, title: str) -> Figure:
     bands.set_xlim(0.0, top)
     bands.set_xlabel("cars derailed (bands: 50 and 90 %, line: median)")
     dress(bands, "x", ("top", "right", "left"))
-    page.text(0.105, 0.012, "An accident is one draw of this.", size=8.5, color=SUBTLE)
+    page.text(0.105, 0.012, "Each accident is one draw from these distributions.", size=8.5, color=SUBTLE)
     return page
 
 
 QUANTITIES = {
     "speed_kmh": "speed, km/h",
-    "brake_delay_s": "brakes after, s",
-    "brake_force_factor": "brake force, factor",
-    "ground_factor": "ground reaction, factor",
+    "brake_delay_s": "brake delay, s",
+    "brake_force_factor": "brake force (factor)",
+    "ground_factor": "ground reaction (factor)",
 }
 
 
@@ -118,8 +118,8 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
         one.tick_params(labelsize=11)
         one.set_yticks([])
         dress(one, "x", ("top", "right", "left"))
-    put(page, 0.25, 0.88, "grey: how likely before, blue: with what is known", size=11)
-    dashed = "; dashed: the extent that is known" if length > 0.0 and width > 0.0 else ""
+    put(page, 0.25, 0.88, "grey: before, blue: with the evidence", size=11)
+    dashed = "; dashed: the known extent" if length > 0.0 and width > 0.0 else ""
     put(page, 0.25, top - 0.05, f"The likeliest scenes{dashed}", size=12)
     for k, (scene, window) in enumerate(zip(scenes, windows, strict=True)):
         at = top + k * (each + 0.4)

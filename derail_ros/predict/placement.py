@@ -100,16 +100,16 @@ def words(found: dict[str, Any]) -> list[str]:
         return f"cars {one['cars'][0]} to {one['cars'][-1]}"
 
     apart, within = found["worst_less_best"], found["worst_less_best_within"]
-    sure = "" if apart > within else " These runs do not tell the two apart."
+    sure = "" if apart > within else " These runs cannot tell the two apart."
     return [
         f"{found['hazardous']} tank cars together are least at risk as {cars(best)}: "
         f"{best['derailed']['mean']:.1f} of them derail on average (nine of ten accidents: "
         f"{best['derailed']['q05']:.0f} to {best['derailed']['q95']:.0f}), and "
         f"{best['expected_releases']:.3f} release.",
-        f"Most at risk they are as {cars(worst)}: {worst['derailed']['mean']:.1f} derail "
-        f"({worst['derailed']['q05']:.0f} to {worst['derailed']['q95']:.0f}), "
-        f"{worst['expected_releases']:.3f} release; {apart:.3f} ± {within:.3f} more. Anywhere: "
-        f"{found['anywhere']:.3f}.{sure}",
+        f"They are most at risk as {cars(worst)}: {worst['derailed']['mean']:.1f} derail "
+        f"({worst['derailed']['q05']:.0f} to {worst['derailed']['q95']:.0f}) and "
+        f"{worst['expected_releases']:.3f} release, {apart:.3f} ± {within:.3f} more. "
+        f"On average over all places {found['anywhere']:.3f} release.{sure}",
     ]
 
 

@@ -123,11 +123,15 @@ class Prediction:
         """The prediction in words."""
         d = self.as_dict()
         n, t = d["cars_derailed"], self.train
-        few = f", {self.few_share:.0%} of them few cars dragged along" if self.few_share else ""
+        few = (
+            f" In {self.few_share:.0%} of them only a few cars derail and are dragged along."
+            if self.few_share
+            else ""
+        )
         return [
             f"{t.speed * 3.6:.0f} km/h ({t.speed * 3.6 / KMH_PER_MPH:.0f} mph), {t.behind} cars "
-            f"from the first one involved on, {t.mass / 1e3:.0f} t a car, {CAUSES[self.cause]}; "
-            f"constants: {self.constants}; {len(self.cars_derailed)} runs{few}.",
+            f"from the break to the end, {t.mass / 1e3:.0f} t a car, {CAUSES[self.cause]}; "
+            f"{self.constants} constants; {len(self.cars_derailed)} runs.{few}",
             f"Cars derailed: {n['mean']:.0f} on average. Half of such accidents derail "
             f"{n['q25']:.0f} to {n['q75']:.0f}, nine of ten {n['q05']:.0f} to {n['q95']:.0f}.",
         ]
@@ -145,8 +149,9 @@ def quick_band(params: TrainParams) -> str:
     p = quick_distribution(load_calibrated(), "broken_rail", train)
     a, b, c, d = (scores.quantile(p, q) for q in (0.25, 0.75, 0.05, 0.95))
     return (
-        f"This is one draw. After a broken rail half of such trains derail {a} to {b} cars, nine "
-        f"of ten {c} to {d} (calibrated constants, without runs; derail predict makes them)."
+        f"This is one possible run. Half of such trains derail {a} to {b} cars after a broken rail, "
+        f"nine of ten {c} to {d} (estimate with calibrated constants; derail predict computes "
+        f"it)."
     )
 
 

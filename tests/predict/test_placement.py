@@ -32,7 +32,7 @@ def test_places_that_no_run_tells_apart_are_said_to_be() -> None:
     same = np.tile([[1.0, 0.0], [0.0, 1.0]], (20, 1))
     found = Placement(same, same, (1, 2)).as_dict(1)
     assert found["worst_less_best"] == 0.0
-    assert "do not tell the two apart" in words(found)[1]
+    assert "cannot tell the two apart" in words(found)[1]
 
 
 def test_runs_begin_at_any_car_and_leave_those_ahead_alone() -> None:
