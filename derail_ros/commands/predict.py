@@ -20,14 +20,17 @@ DRAWS = 1000
 
 def run(
     scenario: Annotated[
-        str | None, typer.Argument(help="Name of a scenario, or a YAML file. Or describe a train with the options.")
+        str | None,
+        typer.Argument(
+            help="Name of a scenario, or a YAML file. Or describe a train with the options."
+        ),
     ] = None,
     settings: Settings = None,
     speed_mph: Annotated[float | None, typer.Option(min=1.0, max=150.0, help="mph.")] = None,
     speed_kmh: Annotated[float | None, typer.Option(min=1.0, max=240.0, help="km/h.")] = None,
     behind: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, help="Cars from the first one that derails to the end of the train."),
+        typer.Option(min=1, max=1000, help="Cars from the first one that derails to the last."),
     ] = None,
     tons: Annotated[
         float | None,

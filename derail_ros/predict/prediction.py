@@ -149,9 +149,9 @@ def quick_band(params: TrainParams) -> str:
     p = quick_distribution(load_calibrated(), "broken_rail", train)
     a, b, c, d = (scores.quantile(p, q) for q in (0.25, 0.75, 0.05, 0.95))
     return (
-        f"This is one possible run. Half of such trains derail {a} to {b} cars after a broken rail, "
-        f"nine of ten {c} to {d} (estimate with calibrated constants; derail predict computes "
-        f"it)."
+        f"This is one possible run. Half of such trains derail {a} to {b} cars after a broken "
+        f"rail, nine of ten {c} to {d} (estimated with calibrated constants; use derail predict "
+        f"to compute it)."
     )
 
 
