@@ -1,4 +1,4 @@
-"""Docstrings of this project for mkdocstrings: ``name : what it is`` has no type."""
+"""Docstrings of this project for mkdocstrings: ``name : description`` has no type."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Any
 import griffe
 
 SECTION = re.compile(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", re.M | re.S)
+ROLE = re.compile(r":(?:meth|attr|func|class|mod|data|exc):(`+)")
 ITEM = re.compile(r"^([\w*][\w, *]*?) : (.*(?:\n[ \t]+.*)*)", re.M)
 
 
 class Described(griffe.Extension):
-    """Moves what stands behind a colon into the description; the signature has the types."""
+    """Move what follows a colon into the description, and drop the roles of references."""
 
     def on_instance(self, *, obj: Any, **kwargs: Any) -> None:
         """Change a docstring as it is collected."""
         if obj.docstring is not None:
-            obj.docstring.value = SECTION.sub(_section, obj.docstring.value)
+            text = SECTION.sub(_section, obj.docstring.value)
+            obj.docstring.value = ROLE.sub(r"\1", text)
 
 
 def _section(match: re.Match[str]) -> str:

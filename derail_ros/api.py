@@ -1,4 +1,4 @@
-"""What a notebook needs: a run and a study, each in a call."""
+"""The functions for notebooks: one run, one study."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ def simulate(
     Parameters
     ----------
     scenario : a scenario, its name, or the path of its file
-    overrides : dotted path -> value
-    member, seed : which run of an ensemble: the lateral force is varied by up to 4 %; member 0 is
-        the scenario itself
+    overrides : new values of fields, by their dotted paths
+    member : number of the run in an ensemble; 0 is the scenario itself, in the others the lateral
+        force is varied by up to 4 %
+    seed : seed of that variation
 
     Returns
     -------
     Outcome
-        Cars derailed, duration (s), forces (N), extents (m) and what else came of it.
+        Cars derailed, duration (s), forces (N), extents (m) and other results.
 
     Raises
     ------
     ScenarioError
-        Naming file, line and field.
+        The scenario has an error; the message names file, line and field.
     SimulationError
-        If the run failed.
+        The run failed.
     """
     from derail_ros.scenario import Scenario, load_scenario
     from derail_ros.studies.ensemble import Job, compute
@@ -53,7 +54,7 @@ def simulate(
 
 
 class StudyAnswers(StudyResults):
-    """Results of a study (``table``, ``runs``, ``manifest``) and what is asked of them."""
+    """Results of a study (``table``, ``runs``, ``manifest``) and their statistics."""
 
     def summary(self) -> pandas.DataFrame:
         """Each measure at each point: mean with its interval, spread, quantiles; SI units."""
@@ -64,7 +65,7 @@ class StudyAnswers(StudyResults):
         return self._of("counts")
 
     def effects(self) -> pandas.DataFrame:
-        """What each parameter does to each measure; the columns depend on the design."""
+        """The effect of each parameter on each measure; the columns depend on the design."""
         return self._of("effects")
 
     def sobol(self) -> pandas.DataFrame:
@@ -77,7 +78,7 @@ class StudyAnswers(StudyResults):
         return getattr(statistics, name)(self)
 
     def findings(self) -> list[tuple[str, list[str]]]:
-        """What the study says, and where it cannot tell: sentences under a measure's name."""
+        """Findings of the study as sentences, by measure; they also say what it cannot tell."""
         from derail_ros.studies.sentences import findings
 
         return findings(self)
@@ -89,7 +90,7 @@ class StudyAnswers(StudyResults):
         return statements(self)
 
     def report(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the page with figures and tables; its path."""
+        """Write the page with figures and tables, and return its path."""
         from derail_ros.studies.page import write_report
 
         return write_report(self, Path(folder))
@@ -107,18 +108,20 @@ def study(
     dask: str | None = None,
     table: str = "parquet",
 ) -> StudyAnswers:
-    """Run a study, or what is missing of it in its folder.
+    """Run a study; runs that its folder already holds are not repeated.
 
     Parameters
     ----------
-    what : a study, the name of a shipped one, the path of its file, or what would stand in the
+    what : a study, the name of a shipped one, the path of its file, or the content of such a
         file as a mapping
-    folder : of the results, ``runs/study_NAME`` by default
-    overrides : dotted path -> value, for the base scenario
-    ensemble, points, seed : instead of the study's own
-    jobs : runs at a time, one per core by default
-    dask : address of a Dask scheduler to run it on
-    table : parquet or csv
+    folder : folder of the results, ``runs/study_NAME`` by default
+    overrides : new values of the base scenario's fields, by their dotted paths
+    ensemble : number of runs at each point, instead of the study's own
+    points : number of points, instead of the study's own
+    seed : seed, instead of the study's own
+    jobs : number of runs at a time, one per core by default
+    dask : address of a Dask scheduler that computes the runs
+    table : format of the table of runs, ``parquet`` or ``csv``
 
     Returns
     -------
@@ -129,7 +132,7 @@ def study(
     Raises
     ------
     ScenarioError
-        Naming file, line and field; before the first run.
+        The study or its scenario has an error; found before the first run.
     StudyError, ClusterError
         The folder or the cluster cannot be used.
     """

@@ -33,7 +33,7 @@ def names() -> list[str]:
 
 
 def register(engine: Engine) -> None:
-    """Make an engine known in this process."""
+    """Register an engine in this process."""
     _ENGINES[engine.name] = engine
 
 
@@ -58,7 +58,7 @@ def engine(name: str = PLANAR) -> Engine:
 
 
 def build(params: TrainParams) -> Simulation:
-    """A run at its start, by the engine that the parameters name.
+    """Build a run at its start, with the engine that the parameters name.
 
     Raises
     ------
@@ -74,5 +74,5 @@ def source_hash(name: str = PLANAR) -> str:
 
 
 def engine_hash(name: str = PLANAR) -> str:
-    """Hash of all that decides what a model's engine computes, the processor too."""
+    """Hash of everything that affects a model's results, the processor included."""
     return engine(name).engine_hash()

@@ -60,7 +60,7 @@ MAX_EXTENDS = 8
 
 
 class ScenarioInfo(NamedTuple):
-    """A scenario in a list; the title of one that cannot be read says why."""
+    """An entry in a list of scenarios; if one cannot be read, its title says why."""
 
     name: str
     title: str
@@ -94,27 +94,27 @@ class Scenario:
 
     @property
     def title(self) -> str:
-        """What it is, in a line; after :meth:`with_overrides` with the changed settings."""
+        """Title, with the settings that :meth:`with_overrides` changed."""
         return self.model.title
 
     @property
     def description(self) -> str:
-        """What it is, at length."""
+        """Longer description."""
         return self.model.description
 
     @property
     def source(self) -> str:
-        """Where the numbers come from."""
+        """Source of the numbers."""
         return self.model.source
 
     @property
     def files(self) -> dict[str, bytes]:
-        """The files that it was read from, by name: its own as written, then those it extends."""
+        """Content of the files it was read from, by name: its own, then those it extends."""
         return self._document.files
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Values that are possible but unlikely, a sentence each."""
+        """Warnings of possible but unlikely values, a sentence each."""
         return (*self._document.notes, *doubts(self._resolved))
 
     @property
@@ -125,9 +125,9 @@ class Scenario:
 
     @property
     def car_types(self) -> tuple[str, ...]:
-        """Type of rolling stock of each car; "" where it was given by its numbers.
+        """Type of rolling stock of each car; "" for a car that was given by its numbers.
 
-        Of the train's cars, then of those that stand on second tracks.
+        The cars of the train come first, then those standing on second tracks.
         """
         cuts = self.model.site.standing if self.model.site else ()
         blocks = [*self.model.train.consist, *(block for cut in cuts for block in cut.consist)]
@@ -137,7 +137,7 @@ class Scenario:
 
     @property
     def n_cars(self) -> int:
-        """Number of real cars, whether modelled or within the virtual body."""
+        """Number of cars, those within the virtual body included."""
         return self._resolved.n_cars
 
     @property
@@ -155,25 +155,25 @@ class Scenario:
         return {"model": self.model.model, **self.resolved()}
 
     def coupler_types(self) -> dict[str, CouplerType]:
-        """All coupler types that the scenario knows, by name: the library's and its own."""
+        """Coupler types by name: the library's and the scenario's own."""
         return coupler_types(self.model, self._stock)
 
     def to_params(self) -> TrainParams:
-        """Parameters of the engine, SI units."""
+        """Parameters for the engine, in SI units."""
         return train_params(self._resolved)
 
     @property
     def constants(self) -> str:
-        """Its set of constants: ``published`` or ``calibrated``."""
+        """Set of constants: ``published`` or ``calibrated``."""
         return self.model.constants or "published"
 
     @property
     def draws(self) -> bool:
-        """Whether each member of an ensemble has a draw of its own."""
+        """Whether each member of an ensemble draws values of its own."""
         return bool(self.model.drawn or self.model.uncertain)
 
     def drawn_scenario(self, values: Mapping[str, Any]) -> Scenario:
-        """The scenario with values of :attr:`model`'s uncertain fields, which are so no more."""
+        """A copy in which the uncertain fields have the given values."""
         try:
             changes = uncertain.overrides(self, dict(values))
         except Refusal as refusal:
@@ -181,20 +181,20 @@ class Scenario:
         return self.with_overrides({"title": self.title, "uncertain": {}, **changes})
 
     def varied(self, member: int, seed: int = 0) -> Scenario:
-        """The scenario of a member of an ensemble, its uncertain fields drawn; 0: itself."""
+        """The scenario of a member of an ensemble, with its draws; member 0 is the scenario itself."""
         if member == 0 or not self.model.uncertain:
             return self
         return self.drawn_scenario(uncertain.drawn(self, member, seed))
 
     def member_params(self, member: int, seed: int = 0) -> TrainParams:
-        """Parameters of a member of an ensemble: all but member 0 have a draw."""
+        """Parameters of a member of an ensemble; member 0 has no draw."""
         one = self.varied(member, seed)
         if member == 0 or not one.model.drawn:
             return one.to_params()
         return one.drawn_params(load_calibrated().draw(member - 1, seed))
 
     def member_inputs(self, member: int, seed: int = 0) -> dict[str, Any]:
-        """What a member of an ensemble draws: dotted path -> value, or factor where relative."""
+        """Draws of a member of an ensemble: dotted path -> value, or factor if relative."""
         found = uncertain.drawn(self, member, seed)
         one = self.varied(member, seed)
         if member == 0 or not one.model.drawn:
@@ -205,11 +205,11 @@ class Scenario:
         return found
 
     def given(self, path: str) -> Any:
-        """What was given at a dotted path; None if nothing was."""
+        """Value that the file gives at a dotted path, or None."""
         return _get(self._document.data, path)
 
     def own_value(self, path: str) -> Any:
-        """The value of a field at a dotted path, given or not; None if there is no single one."""
+        """Value of a field at a dotted path, given or default; None if there is no single one."""
         steps = path.split(".")
         if steps[:2] == ["train", "consist"] and len(steps) > 3:
             entries = self._resolved.entries
@@ -220,19 +220,19 @@ class Scenario:
         return _get(self._known, ".".join(steps))
 
     def drawn_params(self, draw: Draw) -> TrainParams:
-        """Parameters with a draw in place of what is drawn; if published, of all that can be."""
+        """Parameters with a draw of the calibrated constants; a published scenario draws all."""
         names = self.model.drawn or tuple(FIELDS)
         return train_params(filled(self._resolved, names, draw))
 
     def resolved(self) -> dict[str, Any]:
-        """All fields with defaults and types filled in, as plain data fit for JSON.
+        """All fields with defaults and types filled in, as plain data for JSON.
 
-        It is a scenario again: self-contained, with the same train and the same dotted paths.
+        The result is a self-contained scenario with the same train and the same dotted paths.
         """
         return _resolved_data(self._resolved)
 
     def to_yaml(self) -> str:
-        """The resolved scenario as YAML text, which loads again without any library."""
+        """The resolved scenario as YAML text; it loads without a library of car types."""
         return dump(_compact(self.resolved()))
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Scenario:
@@ -323,7 +323,7 @@ def load_scenario(name_or_path: str | os.PathLike[str], dirs: Dirs = None) -> Sc
     Raises
     ------
     ScenarioError
-        With the first mistake.
+        The scenario has an error; the message names file, line and field.
     """
     text = os.fspath(name_or_path)
     if FilePath(text).suffix.lower() not in files.SUFFIXES and FilePath(text).is_file():

@@ -41,7 +41,7 @@ class EventKind(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened in a run.
+    """An event in a run.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Event:
     value : the number behind the cause, in :attr:`value_unit` (quotient, angle, place, ...)
     before, after : state before and after, in words ("on the rails" -> "derailed")
     z : height of the place, m
-    object : name of a fixed thing that takes part, "" for none
+    object : name of a fixed body that takes part, "" for none
     more : further numbers by name, unit in the name ("force_N")
     """
 
@@ -200,7 +200,7 @@ class Collision:
         car and the fixed thing's side, rad, 0 to pi/2
     energy_lost : work that the contact has taken out of the two cars, J
     z, normal_z : height of the place, m, and vertical part of the direction
-    object : name of the fixed thing that was struck in place of ``car_b`` (then 0), "" for a car
+    object : name of the fixed body that was struck in place of ``car_b`` (then 0), "" for a car
     wall : wall of the other car that the corner struck, in words, "" where it is not known
     """
 
@@ -235,7 +235,7 @@ class Collision:
 
     @property
     def touch(self) -> str:
-        """What touched what, in words."""
+        """The two parts that touched, in words."""
         corner = CORNERS[self.corner] if 0 <= self.corner < len(CORNERS) else "a"
         wall = f", {self.wall}" if self.wall else ""
         if self.object:

@@ -1,4 +1,4 @@
-"""What came of a run: made by an engine, or rebuilt from a recording."""
+"""The result of a run, from an engine or rebuilt from a recording."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ class Parted:
 
 
 MOVED = 0.1
-"""A standing car has moved when its mass centre lies further from where it stood, m."""
+"""Displacement of the mass centre from which a standing car counts as moved, m."""
 
 
 @dataclass(frozen=True)
 class StandingOutcome:
-    """What came of the cars on second tracks: the last ``cars`` bodies, apart from the train.
+    """Result for the cars on second tracks: the last ``cars`` bodies, apart from the train.
 
     Attributes
     ----------
-    cars : how many there are
-    struck : numbers of those in a collision, with whatever car
-    moved : of those whose mass centre lies further than ``MOVED`` from where it stood
-    derailed : of those with a truck off the rails
+    cars : their number
+    struck : numbers of the cars in a collision with any car
+    moved : numbers of the cars whose mass centre moved by more than ``MOVED``
+    derailed : numbers of the cars with a truck off the rails
     """
 
     cars: int = 0
@@ -84,7 +84,7 @@ class StandingOutcome:
 
     @property
     def text(self) -> str:
-        """The same in a few words."""
+        """The same in words."""
         parts = [len(self.struck), len(self.moved), len(self.derailed)]
         return "{} standing: {} struck, {} moved, {} derailed".format(
             count(self.cars, "car"), *parts
@@ -93,7 +93,7 @@ class StandingOutcome:
 
 @dataclass(frozen=True, repr=False)
 class Outcome:
-    """What came of a run. ``nan`` and ``None`` where a quantity does not exist.
+    """Result of a run. ``nan`` or ``None`` for a quantity that does not exist.
 
     Attributes
     ----------
@@ -122,8 +122,8 @@ class Outcome:
         key -> (N-1,), both >= 0; {} where they are not known
     parted : couplings that parted, in the order of time
     values, car_values : further numbers by name, unit in the name; the latter (N,)
-    site : what came of it at its place; None without zones, fixed bodies and areas
-    standing : what came of cars on second tracks, whose rows are the last ones of (N,) arrays;
+    site : results for the place; None without zones, fixed bodies and areas
+    standing : results for cars on second tracks, whose rows are the last ones of (N,) arrays;
         all else counts the train's own cars, and forces between two cars of which one is its own
     """
 
@@ -213,12 +213,12 @@ class Outcome:
         return f"{text}; {self.standing.text}" if self.standing.cars else text
 
     def of_train(self, rows: F64) -> F64:
-        """Of one row a body, or a coupling, those of the train."""
+        """The rows of the train, of an array with one row a body or coupling."""
         return rows[: len(rows) - self.standing.cars]
 
     @property
     def final(self) -> bool:
-        """The run has ended; nothing will change any more."""
+        """Whether the run has ended."""
         return STATUSES[self.status].ended
 
     @property

@@ -1,4 +1,4 @@
-"""What a run reports at one moment, one entry a car (N cars)."""
+"""State of a run at one moment, one entry a car (N cars)."""
 
 from __future__ import annotations
 

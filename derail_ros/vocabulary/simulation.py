@@ -1,4 +1,4 @@
-"""What a run is, whatever computes it: the interface that every engine implements.
+"""The interface of a run, which every engine implements.
 
 Sessions, recordings, nodes, reviews and studies speak to :class:`Simulation` and :class:`Engine`
 and to nothing behind them. ``derail_ros.models`` finds an engine by its name.
@@ -30,7 +30,7 @@ class Simulation(ABC):
 
     Attributes
     ----------
-    params : what the run was built from
+    params : parameters of the run
     track : the centre line
     """
 
@@ -82,7 +82,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def outcome(self) -> Outcome:
-        """What has come of the run so far."""
+        """Result of the run so far."""
 
     @abstractmethod
     def to_bytes(self) -> bytes:
@@ -91,7 +91,7 @@ class Simulation(ABC):
     @classmethod
     @abstractmethod
     def from_bytes(cls, data: bytes) -> Simulation:
-        """A run from `to_bytes`; it goes on to the bit as the saved one would have.
+        """Restore a run from `to_bytes`; it continues as the saved one would have, to the bit.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Simulation(ABC):
 
     @property
     def ended(self) -> bool:
-        """No further step will be taken."""
+        """Whether the run has ended."""
         return STATUSES[self.status].ended
 
     @property
@@ -146,7 +146,7 @@ class Simulation(ABC):
         return {"steps": self.step_count}
 
     def run(self) -> Outcome:
-        """Go on to the end of the run."""
+        """Run to the end."""
         self.advance_to(math.inf)
         return self.outcome()
 
@@ -206,7 +206,7 @@ class Simulation(ABC):
         return type(self).from_bytes(self.to_bytes())
 
     def state_hash(self) -> str:
-        """SHA-256 (hex) of all that decides the future of the run."""
+        """SHA-256 (hex) of everything that affects the rest of the run."""
         return hashlib.sha256(self.to_bytes()).hexdigest()
 
     def _refuse_when_ended(self) -> None:
@@ -219,13 +219,13 @@ COMMANDS = ("inject_rail_break", "trigger_emergency_brake")
 
 
 class Engine(Protocol):
-    """What computes runs.
+    """An engine: it computes runs.
 
     Attributes
     ----------
     name : of the model, as in ``model:`` of a scenario
-    words : what it is, in a few words
-    features : what it can do, of :data:`FEATURES`
+    words : short description
+    features : its abilities, from :data:`FEATURES`
     """
 
     name: ClassVar[str]
@@ -245,13 +245,13 @@ class Engine(Protocol):
         """A run from the bytes of ``Simulation.to_bytes``."""
 
     def warm_up(self, progress: Any = None) -> Any:
-        """Do what takes long once on a machine (compile kernels)."""
+        """Do the slow work that is needed once on a machine (compile kernels)."""
 
     def source_hash(self) -> str:
         """Hash of this engine's sources, equal on all machines."""
 
     def engine_hash(self) -> str:
-        """Hash of all that decides what this engine computes: equal hashes, equal bits."""
+        """Hash of everything that affects the results: equal hashes compute equal bits."""
 
 
 FEATURES = {
@@ -261,4 +261,4 @@ FEATURES = {
     "energy": "keeps an energy ledger",
     "height": "moves cars vertically, with roll and pitch",
 }
-"""What an engine may be able to do, in words."""
+"""Abilities of engines, in words."""
