@@ -181,7 +181,7 @@ class Scenario:
         return self.with_overrides({"title": self.title, "uncertain": {}, **changes})
 
     def varied(self, member: int, seed: int = 0) -> Scenario:
-        """The scenario of a member of an ensemble, with its draws; member 0 is the scenario itself."""
+        """The scenario of a member of an ensemble with its draws; member 0 is unchanged."""
         if member == 0 or not self.model.uncertain:
             return self
         return self.drawn_scenario(uncertain.drawn(self, member, seed))
