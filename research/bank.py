@@ -3,7 +3,9 @@
 ``python -m research bank FILES --results FOLDER -n RUNS`` adds runs until there are as many.
 It can be ended and begun again, and several processes may work in one folder: each takes the
 next part that nobody has (``part_00012.npz``, of :data:`PART` runs) and marks it as its own.
-A part depends on its number, the reports and the proposal alone.
+A part depends on its number, the reports and the proposal alone. The first runs are drawn from the
+prior. ``research calibration`` leaves a proposal in the folder, about which further runs are drawn:
+add runs and learn again until the constants stay.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from research.pages import Options
 
 PART = 40
 """Runs of a part."""
+PROPOSAL = "proposal.json"
+"""File in the folder of a bank: what further runs are drawn with."""
 
 
 def to_draw(z: np.ndarray) -> Draw:
@@ -58,7 +62,7 @@ def proposal(folder: Path) -> tuple[np.ndarray, np.ndarray, float]:
     """Means and deviations that constants are drawn with; share of runs from the prior itself."""
     mean = np.array([PRIOR[n][0] for n in NAMES])
     sd = np.array([PRIOR[n][1] for n in NAMES])
-    path = folder / "proposal.json"
+    path = folder / PROPOSAL
     if not path.is_file():
         return mean, sd, 1.0
     data = json.loads(path.read_text(encoding="utf-8"))
