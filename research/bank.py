@@ -3,9 +3,9 @@
 ``python -m research bank FILES --results FOLDER -n RUNS`` adds runs until there are as many.
 It can be ended and begun again, and several processes may work in one folder: each takes the
 next part that nobody has (``part_00012.npz``, of :data:`PART` runs) and marks it as its own.
-A part depends on its number, the reports and the proposal alone. The first runs are drawn from the
-prior. ``research calibration`` leaves a proposal in the folder, about which further runs are drawn:
-add runs and learn again until the constants stay.
+A part depends on its number, the reports and the proposal alone. The first runs are drawn from
+the prior. ``research calibration`` leaves a proposal in the folder, about which further runs are
+drawn: add runs and learn again until the constants stay.
 """
 
 from __future__ import annotations
