@@ -27,7 +27,7 @@ PARTS = {
         "coupler_forces", "brake_forces", "ground_forces",
     ),
     "contacts: pairs that may touch, gaps, corners": (
-        "_corner_contacts", "collision_forces", "limit_way", "_corner_limit", "rebuild",
+        "pair_contacts", "limit_way", "rebuild",
     ),
     "contacts: events, peaks within steps, memory of walls": (
         "track_contacts", "_note_force", "_peak_within", "_force_within", "remember_walls",

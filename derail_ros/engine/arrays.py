@@ -133,12 +133,16 @@ class Work(NamedTuple):
     tail: I64  # (N,) and its last one
     live: I64  # (1 + N,) number and list of the cars that may turn or bend
     active: I64  # (1 + P,) number and rows of the pairs that may touch in this step
-    reach: F64  # (P, 2) gap and relative speed of pairs, m and m/s
+    corners: I64  # (1 + P,) and which of their corners may: bit 4 side + corner
+    seen: F64  # (P, 18) of a pair's corners: gap, m, and squared speed, m^2/s^2; see neighbours
     near: I64  # (1 + N B, 4) number of rows; car, fixed body and its edges that it may touch
 
 
 for kind in (Model, State, Work):
     pointers.register(kind)
+
+ALL_CORNERS = 255
+"""``Work.corners`` of a pair of which every corner may touch."""
 
 SLOPES = 8
 """Room for the stages of a method and the slope at its end."""
@@ -184,6 +188,7 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool, fixed: int 
         tail=np.arange(n),
         live=np.concatenate([[n], np.arange(n)]),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
-        reach=np.zeros((pair_rows, 2)),
+        corners=np.full(1 + pair_rows, ALL_CORNERS),
+        seen=np.zeros((pair_rows, 18)),
         near=np.zeros((1 + n * fixed, 4), dtype=np.int64),
     )

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.arrays import ALL_CORNERS, F64, Model, State, Work
 from derail_ros.engine.forces.fixed import list_near
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
 
@@ -115,6 +115,7 @@ def prepare(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     find_blocks(model, state, work, q, v)
     for p in range(state.cnt[0].pairs):
         work.active[1 + p] = p
+        work.corners[1 + p] = ALL_CORNERS
     work.active[0] = state.cnt[0].pairs
     if model.fixed.shape[0] > 0:
         list_near(model, state, work, 0.0)

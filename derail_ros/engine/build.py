@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, Rows, State
-from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE
+from derail_ros.engine.laws.contact import GAP_LAWS, INSIDE, reach
 from derail_ros.engine.laws.joint import top_angle
 from derail_ros.engine.laws.knuckle import POLYNOMIALS, pair_of_heads, polynomial_root
 from derail_ros.engine.methods import METHODS
@@ -349,6 +349,7 @@ def build_model(params: TrainParams, track: Track) -> Model:
         "force_max": c.force_max,
         "half_distance": c.half_distance,
         "buffer": c.buffer,
+        "reach": reach(c.half_distance, c.buffer, GAP_LAWS[c.gap_law]),
         "c1": c.c1,
         "c2": c.c2,
         "c3": c.c3,

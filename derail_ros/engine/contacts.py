@@ -10,7 +10,7 @@ from typing import Any
 
 from derail_ros.engine.arrays import F64, U8, Model, Rows, State, Work
 from derail_ros.engine.forces.collisions import (
-    clear,
+    Frame,
     corner_of,
     pair_contacts,
     pair_frames,
@@ -23,25 +23,28 @@ from derail_ros.engine.trigonometry import sincos
 
 
 @inner_jit
-def remember_walls(car: Rows, q: F64, mask: U8, p: int, i: int, j: int, fresh: bool) -> None:
+def remember_walls(
+    car: Rows, mask: U8, p: int, i: int, j: int, seen: tuple[Frame, Frame], corners: int,
+    fresh: bool,
+) -> None:  # fmt: skip
     """Update the memory of pair ``p``: which walls each corner is outside of, or came through.
 
-    A corner that is inside keeps its wall; ``fresh`` forgets it (a new pair).
+    A corner that is inside keeps its wall; ``fresh`` forgets it (a new pair). ``corners`` has a
+    bit for each corner that is looked at.
     """
     keep_separate()
-    si, ci = sincos(q[i, 2])
-    sj, cj = sincos(q[j, 2])
-    seen = pair_frames(q, i, j, ci, si, cj, sj)
     for side in range(2):
         u0, w0, c, turn = seen[side]
         a = i if side == 0 else j
         b = j if side == 0 else i
         for corner in range(4):
+            k = 4 * side + corner
+            if (corners >> k) & 1 == 0:
+                continue
             u, w = corner_of(car, a, corner)
             x = u0 + c * u - turn * w
             y = w0 + turn * u + c * w
             out = outside_mask(x, y, car[b].half_l, car[b].half_w)
-            k = 4 * side + corner
             if out == 0:
                 old = 0 if fresh else mask[p, k]
                 out = nearest_wall(x, y, car[b].half_l, car[b].half_w, old)
@@ -102,8 +105,8 @@ def _note_force(state: State, row: Any, k: int, i: int, j: int, angle: float, t:
 
 
 @inner_jit
-def _force_within(model: Model, state: State, work: Work, p: int, x: float, h: float) -> float:
-    """Largest corner force of the pair in row ``p`` at the share ``x`` of the last step, N.
+def _force_within(model: Model, state: State, work: Work, a: int, x: float, h: float) -> float:
+    """Largest corner force of the active pair ``a`` at the share ``x`` of the last step, N.
 
     The pair's row at that moment is left in ``work.pair``, its state in ``work.within_q/v``.
     """
@@ -111,6 +114,7 @@ def _force_within(model: Model, state: State, work: Work, p: int, x: float, h: f
     q = work.within_q
     v = work.within_v
     wk = work.within_wk
+    p = work.active[a]
     for side in range(2):
         i = state.pairs[p, side]
         for k in range(3):
@@ -119,36 +123,34 @@ def _force_within(model: Model, state: State, work: Work, p: int, x: float, h: f
                 state.v[i, k], state.a1[i, k],
             )  # fmt: skip
         wk[i].st, wk[i].ct = sincos(q[i, 2])
-    i = state.pairs[p, 0]
-    j = state.pairs[p, 1]
-    seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
-    clear(work.pair, p)
-    pair_contacts(model, state, q, v, wk, work.within_force, work.pair, work.report, p, seen)
+    work.pair[p].near = 1.0
+    pair_contacts(model, state, work, q, v, wk, work.within_force, work.pair, a, a + 1)
     return work.pair[p].peak
 
 
 @inner_jit
 def _peak_within(
-    model: Model, state: State, work: Work, k: int, p: int, t: float, h: float
+    model: Model, state: State, work: Work, k: int, a: int, t: float, h: float
 ) -> None:
-    """Find the largest force of pair ``p`` inside the step that ended at ``t``, for contact ``k``.
+    """Find the largest force of the active pair ``a`` in the step to ``t``, for contact ``k``.
 
     A step may be as long as the rise of a contact. The force within a step rises, falls or does
     both: with its end the highest there is nothing to find; else three more moments and the
     vertex of a parabola through the highest and its neighbours.
     """
     keep_separate()
+    p = work.active[a]
     first = state.pair[p].last_peak
     last = state.pair[p].peak
-    if _force_within(model, state, work, p, 0.95, h) <= last:
+    if _force_within(model, state, work, a, 0.95, h) <= last:
         return
     before = first
     best = first
     after = last
     at = 0.0
-    f1 = _force_within(model, state, work, p, 0.25, h)
-    f2 = _force_within(model, state, work, p, 0.5, h)
-    f3 = _force_within(model, state, work, p, 0.75, h)
+    f1 = _force_within(model, state, work, a, 0.25, h)
+    f2 = _force_within(model, state, work, a, 0.5, h)
+    f3 = _force_within(model, state, work, a, 0.75, h)
     if f1 > best:
         before, best, after, at = first, f1, f2, 0.25
     if f2 > best:
@@ -160,12 +162,12 @@ def _peak_within(
     bend = before - 2.0 * best + after
     if bend < 0.0:
         vertex = at + 0.125 * (before - after) / bend
-        if _force_within(model, state, work, p, vertex, h) < best:
-            _force_within(model, state, work, p, at, h)
+        if _force_within(model, state, work, a, vertex, h) < best:
+            _force_within(model, state, work, a, at, h)
         else:
             at = vertex
     else:
-        _force_within(model, state, work, p, at, h)
+        _force_within(model, state, work, a, at, h)
     q = work.within_q
     i = state.pairs[p, 0]
     j = state.pairs[p, 1]
@@ -182,14 +184,20 @@ def track_contacts(model: Model, state: State, work: Work, t: float, h: float) -
     keep_separate()
     par = model.par[0]
     pair = state.pair
+    wk = work.wk
+    q = state.q
+    a = 1  # of the active pairs, which are in order
     for p in range(state.cnt[0].pairs):
         row = pair[p]
         if row.near == 0.0 and row.contact < 0.0:
             continue
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
+        while a < work.active[0] and work.active[a] < p:
+            a += 1
         if row.near != 0.0:
-            remember_walls(model.car, state.q, state.mask, p, i, j, False)
+            seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
+            remember_walls(model.car, state.mask, p, i, j, seen, work.corners[a], False)
         resultant = math.sqrt(row.fx * row.fx + row.fy * row.fy)
         angle = state.q[i, 2] - state.q[j, 2]
         if row.contact < 0.0:
@@ -219,7 +227,7 @@ def track_contacts(model: Model, state: State, work: Work, t: float, h: float) -
             contact.energy += 0.5 * h * (row.power + row.last_power)
             row.last_power = row.power
         if max(row.last_peak, row.peak) > NEAR_PEAK * contact.peak:
-            _peak_within(model, state, work, k, p, t, h)
+            _peak_within(model, state, work, k, a, t, h)
         _note_force(state, row, k, i, j, angle, t)
         row.last_peak = row.peak
         if resultant >= par.end_force:

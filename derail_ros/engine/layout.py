@@ -31,6 +31,7 @@ PAR = _table("""
     brake_system radio_delay  # index in params.BRAKE_SYSTEMS; s
     ground_cs ground_cd ground_eps ground_cv ground_scale
     force_max half_distance buffer c1 c2 c3 begin_force end_force end_hold  # of contacts
+    reach  # m, gap beyond which no contact has a force
     gap_law even_inside  # numbers of laws.contact.GAP_LAWS and INSIDE
     lv_limit break_follows
     rtol
@@ -188,6 +189,7 @@ WORK = _table("""
     stiff  # 1: friction of this car is treated implicitly in this step
     c_xx c_xy c_xt c_yy c_yt c_tt  # its damping by (Vx, Vy, yaw rate)
     sx sy sw  # what the implicit stages add to the velocities' change
+    ct0 st0  # cos, sin of theta at the beginning of the step
 """)
 ROW = _table("""
     nx ny arm  # row of J

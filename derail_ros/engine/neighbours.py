@@ -12,11 +12,17 @@ from __future__ import annotations
 
 import math
 
-from derail_ros.engine.arrays import F64, Model, State, Work
+from derail_ros.engine.arrays import ALL_CORNERS, F64, Model, State, Work
 from derail_ros.engine.contacts import end_contact, remember_walls
-from derail_ros.engine.forces.collisions import Frame, clear, corner_of, pair_frames, widest_gap
+from derail_ros.engine.forces.collisions import (
+    Frame,
+    corner_of,
+    leave_out,
+    pair_frames,
+    widest_gap,
+)
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
-from derail_ros.engine.trigonometry import angles
+from derail_ros.engine.trigonometry import angles, sincos
 
 MARGIN = 4.0
 """Room between the circles that a fresh list allows for, m."""
@@ -61,41 +67,47 @@ def strays(model: Model, state: State, work: Work, h: float) -> bool:
 
 
 @inner_jit
-def _corner_limit(
-    model: Model, v: F64, i: int, j: int, seen: Frame, vx: float, vy: float, h: float
-) -> float:
+def _see_corners(
+    model: Model, work: Work, v: F64, i: int, j: int, seen: Frame, vx: float, vy: float, a: int,
+    side: int, h: float,
+) -> float:  # fmt: skip
     """The step ``h``, or less, for the corners of car ``i`` as car ``j`` sees them, s.
 
-    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s).
+    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s). Keeps
+    the corners' gaps and squared speeds in row ``a`` of ``work.seen``.
     """
-    keep_separate()
     car = model.car
     x0, y0, c, s = seen
     spin = v[i, 2] - v[j, 2]
     share = model.par[0].step_share
     zone = ZONE * model.par[0].buffer
+    half_l = car[j].half_l
+    half_w = car[j].half_w
     for corner in range(4):
         u, w = corner_of(car, i, corner)
         rx = c * u - s * w
         ry = s * u + c * w
-        gap = max(abs(x0 + rx) - car[j].half_l, abs(y0 + ry) - car[j].half_w)
+        gap = max(abs(x0 + rx) - half_l, abs(y0 + ry) - half_w)
         ux = vx - spin * ry
         uy = vy + spin * rx
         way = share + max(0.0, gap - zone)
-        speed = math.sqrt(ux * ux + uy * uy)
-        if h * speed > way:
-            h = way / speed
+        square = ux * ux + uy * uy
+        if h * h * square > way * way:
+            h = way / math.sqrt(square)
+        work.seen[a, 8 * side + 2 * corner] = gap
+        work.seen[a, 8 * side + 2 * corner + 1] = square
     return h
 
 
 @inner_jit
 def limit_way(model: Model, state: State, work: Work, h: float) -> float:
-    """The step ``h``, or less: no corner passes its share near another body; lists active pairs.
+    """The step ``h``, or less: no corner passes its share near another body; lists what may touch.
 
     A corner nearer to the other body than ``ZONE`` of the buffer may move a step's share relative
-    to it, one that is further away by so much more. The pairs left out of ``work.active`` are
-    those whose collision force is exactly zero throughout the step: two rectangles are at least as
-    far apart as the widest gap between them along their axes.
+    to it, one that is further away by so much more. What is left out of ``work.active`` and
+    ``work.corners`` has no force throughout the step: a corner that is further away than the reach
+    of the law, than both cars may stray and than its way in the step, straight or bent by the
+    turning of the cars.
     """
     keep_separate()
     q = state.q
@@ -103,12 +115,14 @@ def limit_way(model: Model, state: State, work: Work, h: float) -> float:
     car = model.car
     wk = work.wk
     pair = state.pair
-    share = model.par[0].step_share
-    zone = ZONE * model.par[0].buffer
-    room = model.par[0].buffer + 2.0 * share  # both may stray
-    largest = max(room, zone)
-    reach = work.reach
+    room = model.par[0].reach + 2.0 * model.par[0].step_share  # both may stray
+    largest = max(room, ZONE * model.par[0].buffer)
+    seen = work.seen
     angles(q, wk, work.ang, work.live)
+    for i in range(q.shape[0]):
+        wk[i].ct0 = wk[i].ct
+        wk[i].st0 = wk[i].st
+    found = 0
     for p in range(state.cnt[0].pairs):
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
@@ -121,36 +135,46 @@ def limit_way(model: Model, state: State, work: Work, h: float) -> float:
         ay = wy - v[j, 2] * dx
         bx = -wx - v[i, 2] * dy
         by = -wy + v[i, 2] * dx
+        radii = car[i].radius + car[j].radius
         spin = abs(v[i, 2] - v[j, 2])
-        speed = max(
-            math.sqrt(ax * ax + ay * ay) + spin * car[i].radius,
-            math.sqrt(bx * bx + by * by) + spin * car[j].radius,
-        )
+        speed = max(abs(ax) + abs(ay), abs(bx) + abs(by)) + spin * radii  # no less than any
+        turn = max(abs(v[i, 2]), abs(v[j, 2]))
+        bend = turn * (turn * (radii + abs(dx) + abs(dy)) + speed)
+        far = largest + h * (speed + h * bend)
         # the circles around them say enough of most pairs
-        gap = math.sqrt(dx * dx + dy * dy) - car[i].radius - car[j].radius
-        if gap > largest + h * speed:
-            reach[p, 0] = gap
-            reach[p, 1] = speed
-            continue
-        first, second = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
-        gap = widest_gap(car, i, j, (first, second))
-        if h * speed > share + max(0.0, gap - zone):
-            ci = wk[i].ct
-            si = wk[i].st
-            cj = wk[j].ct
-            sj = wk[j].st
-            h = _corner_limit(model, v, i, j, first, cj * ax + sj * ay, cj * ay - sj * ax, h)
-            h = _corner_limit(model, v, j, i, second, ci * bx + si * by, ci * by - si * bx, h)
-        reach[p, 0] = gap
-        reach[p, 1] = speed
+        if dx * dx + dy * dy <= (radii + far) * (radii + far):
+            first, second = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
+            if widest_gap(car, i, j, (first, second)) <= far:
+                ci = wk[i].ct
+                si = wk[i].st
+                cj = wk[j].ct
+                sj = wk[j].st
+                vx = cj * ax + sj * ay
+                vy = cj * ay - sj * ax
+                h = _see_corners(model, work, v, i, j, first, vx, vy, found, 0, h)
+                vx = ci * bx + si * by
+                vy = ci * by - si * bx
+                h = _see_corners(model, work, v, j, i, second, vx, vy, found, 1, h)
+                seen[found, 16] = bend
+                found += 1
+                work.active[found] = p
+                continue
+        leave_out(pair, p)
     count = 0
-    for p in range(state.cnt[0].pairs):
-        if reach[p, 0] <= room + h * reach[p, 1]:
-            count += 1
-            work.active[count] = p
-        else:
-            clear(pair, p)
-            pair[p].near = 0.0
+    for a in range(found):
+        p = work.active[1 + a]
+        near = room + h * h * seen[a, 16]
+        bits = 0
+        for k in range(8):
+            rest = seen[a, 2 * k] - near
+            if rest <= 0.0 or rest * rest <= h * h * seen[a, 2 * k + 1]:
+                bits |= 1 << k
+        if bits == 0:
+            leave_out(pair, p)
+            continue
+        count += 1
+        work.active[count] = p
+        work.corners[count] = bits
     work.active[0] = count
     return h
 
@@ -245,8 +269,12 @@ def rebuild(model: Model, state: State, work: Work) -> bool:
         if state.pair[p].contact == -2.0:
             state.pair[p].contact = -1.0
             state.pair[p].below = -1.0
-            remember_walls(model.car, q, state.mask, p, i, j, True)
+            si, ci = sincos(q[i, 2])
+            sj, cj = sincos(q[j, 2])
+            seen = pair_frames(q, i, j, ci, si, cj, sj)
+            remember_walls(model.car, state.mask, p, i, j, seen, ALL_CORNERS, True)
         work.active[1 + p] = p
+        work.corners[1 + p] = ALL_CORNERS
     for i in range(n):
         state.built[i, 0] = q[i, 0]
         state.built[i, 1] = q[i, 1]

@@ -28,7 +28,6 @@ from derail_ros.engine.laws.contact import (
     outside_mask,
     speed_factor,
 )
-from derail_ros.engine.trigonometry import sincos
 
 Frame = tuple[float, float, float, float]
 
@@ -90,6 +89,14 @@ def clear(pair: Rows, p: int) -> None:
 
 
 @inner_jit
+def leave_out(pair: Rows, p: int) -> None:
+    """Forget the forces of the pair in row ``p``: it is too far apart to have any."""
+    if pair[p].near != 0.0:
+        clear(pair, p)
+        pair[p].near = 0.0
+
+
+@inner_jit
 def _bell(par: Any, gap: float) -> float:
     """The gap law of the run, N."""
     return gap_force(
@@ -104,165 +111,177 @@ def speed_along(v: F64, q: F64, i: int, px: float, py: float, nx: float, ny: flo
 
 
 @inner_jit
-def _push(force: F64, q: F64, i: int, px: float, py: float, fx: float, fy: float) -> float:
-    """Add a force at a place to car ``i``; returns its moment about the mass centre."""
-    moment = (px - q[i, 0]) * fy - (py - q[i, 1]) * fx
-    force[i, 0] += fx
-    force[i, 1] += fy
-    force[i, 2] += moment
-    return moment
+def _report_contact(
+    report: F64, i: int, j: int, corner: int, other: int, fx: float, fy: float, mi: float,
+    mj: float, f: float, gap: float, closing: float,
+) -> None:  # fmt: skip
+    """Add a contact to the report: force on ``i`` and moments; the strongest of a corner is kept.
 
-
-@inner_jit
-def _report_corner(
-    report: F64, i: int, corner: int, force: float, gap: float, closing: float, other: int
-) -> None:
-    """Keep the strongest contact of a corner for the report."""
-    base = layout.R_CORNER + 4 * corner
-    if force > report[i, base]:
-        report[i, base] = force
-        report[i, base + 1] = gap
-        report[i, base + 2] = closing
-        report[i, base + 3] = other + 1
-
-
-@inner_jit
-def _corner_contacts(
-    model: Model,
-    state: State,
-    q: F64,
-    v: F64,
-    wk: Rows,
-    force: F64,
-    pair: Rows,
-    report: F64,
-    p: int,
-    i: int,
-    j: int,
-    seen: Frame,
-    second: bool,
-) -> None:
-    """Contacts of the corners of car ``i`` with car ``j``, from which it is ``seen``.
-
-    ``second`` says that ``i`` is the second car of the pair row ``p``; corner meets corner is
-    treated only when it is not, so that it is done once.
+    ``other`` is the corner of ``j`` that is met, below 0 for a wall.
     """
     keep_separate()
-    par = model.par[0]
-    car = model.car
-    mask = state.mask
-    d_b = par.buffer
-    a_i = car[i].half_l
-    b_i = car[i].half_w
-    a_j = car[j].half_l
-    b_j = car[j].half_w
-    cj = wk[j].ct
-    sj = wk[j].st
-    u0, w0, c, s = seen
-    for corner in range(4):
-        u, w = corner_of(car, i, corner)
-        ju = u0 + c * u - s * w
-        jw = w0 + s * u + c * w
-        if abs(ju) >= a_j + d_b or abs(jw) >= b_j + d_b:
-            continue
-        out = outside_mask(ju, jw, a_j, b_j)
-        wall = out
-        gap = 0.0
-        nu = 0.0
-        nw = 0.0
-        other_corner = -1
-        if out == 0:
-            came = mask[p, 4 + corner] if second else mask[p, corner]
-            wall = nearest_wall(ju, jw, a_j, b_j, came)
-        if wall == FRONT or wall == REAR:
-            nu = 1.0 if wall == FRONT else -1.0
-            gap = nu * ju - a_j
-            if second and on_line(jw, b_j, s):
-                continue
-        elif (wall & (FRONT | REAR)) == 0:
-            nw = 1.0 if wall == LEFT else -1.0
-            gap = nw * jw - b_j
-            if second and on_line(ju, a_j, s):
-                continue
-        else:
-            if second:
-                continue
-            # both outside: corner of j that is nearest, if each lies in the other's corner region
-            su = 1.0 if wall & FRONT else -1.0
-            sw = 1.0 if wall & LEFT else -1.0
-            du = ju - su * a_j
-            dw = jw - sw * b_j
-            gap = math.sqrt(du * du + dw * dw)
-            if gap >= d_b or gap < 1e-12:
-                continue
-            # that corner in the frame of i: beyond both walls, on the side of this very corner
-            eu = su * a_j - u0
-            ew = sw * b_j - w0
-            iu = c * eu + s * ew
-            iw = -s * eu + c * ew
-            if u * iu <= a_i * (a_i + ON_LINE) or w * iw <= b_i * (b_i + ON_LINE):
-                continue
-            nu = du / gap
-            nw = dw / gap
-            other_corner = (0 if su > 0.0 else 2) + (0 if sw > 0.0 else 1)
-        if gap >= d_b:
-            continue
-        px = q[i, 0] + wk[i].ct * u - wk[i].st * w
-        py = q[i, 1] + wk[i].st * u + wk[i].ct * w
-        nx = cj * nu - sj * nw
-        ny = sj * nu + cj * nw
-        fpx = px - gap * nx
-        fpy = py - gap * ny
-        closing = speed_along(v, q, j, fpx, fpy, nx, ny) - speed_along(v, q, i, px, py, nx, ny)
-        f = _bell(par, gap) * speed_factor(closing, par.c1, par.c2, par.c3)
-        if f <= 0.0:
-            continue
-        fx = f * nx
-        fy = f * ny
-        mi = _push(force, q, i, px, py, fx, fy)
-        mj = _push(force, q, j, fpx, fpy, -fx, -fy)
-        sign = -1.0 if second else 1.0
-        pair[p].fx += sign * fx
-        pair[p].fy += sign * fy
-        pair[p].power += f * closing
-        if f > pair[p].peak:
-            pair[p].peak = f
-            pair[p].corner = corner + (4 if second else 0)
-            pair[p].x = px
-            pair[p].y = py
-            pair[p].nx = sign * nx
-            pair[p].ny = sign * ny
-            pair[p].closing = closing
-        if report.shape[0]:
-            report[i, layout.R_COLLISION] += fx
-            report[i, layout.R_COLLISION + 1] += fy
-            report[i, layout.R_COLLISION + 2] += mi
-            report[j, layout.R_COLLISION] -= fx
-            report[j, layout.R_COLLISION + 1] -= fy
-            report[j, layout.R_COLLISION + 2] += mj
-            _report_corner(report, i, corner, f, gap, closing, j)
-            if other_corner >= 0:
-                _report_corner(report, j, other_corner, f, gap, closing, i)
+    for side in range(2):
+        car = i if side == 0 else j
+        sign = 1.0 if side == 0 else -1.0
+        report[car, layout.R_COLLISION] += sign * fx
+        report[car, layout.R_COLLISION + 1] += sign * fy
+        report[car, layout.R_COLLISION + 2] += mi if side == 0 else mj
+        point = corner if side == 0 else other
+        base = layout.R_CORNER + 4 * point
+        if point >= 0 and f > report[car, base]:
+            report[car, base] = f
+            report[car, base + 1] = gap
+            report[car, base + 2] = closing
+            report[car, base + 3] = (j if side == 0 else i) + 1
 
 
 @inner_jit
 def pair_contacts(
     model: Model,
     state: State,
+    work: Work,
     q: F64,
     v: F64,
     wk: Rows,
     force: F64,
     pair: Rows,
-    report: F64,
-    p: int,
-    seen: tuple[Frame, Frame],
-) -> None:
-    """Contacts between the two cars of row ``p`` into ``force`` and ``pair``."""
-    i = state.pairs[p, 0]
-    j = state.pairs[p, 1]
-    _corner_contacts(model, state, q, v, wk, force, pair, report, p, i, j, seen[0], False)
-    _corner_contacts(model, state, q, v, wk, force, pair, report, p, j, i, seen[1], True)
+    first: int,
+    last: int,
+) -> float:
+    """Contacts of the active pairs ``first`` to before ``last`` into ``force`` and ``pair``.
+
+    Only corners in ``work.corners`` are looked at. Returns the power taken out, W. Corner meets
+    corner is treated where the corner is the first car's, so that it is done once.
+    """
+    keep_separate()
+    par = model.par[0]
+    car = model.car
+    reach = par.reach
+    report = work.report
+    total = 0.0
+    for a in range(first, last):
+        p = work.active[a]
+        bits = work.corners[a]
+        car_i = state.pairs[p, 0]
+        car_j = state.pairs[p, 1]
+        leave_out(pair, p)
+        row = pair[p]
+        both = pair_frames(q, car_i, car_j, wk[car_i].ct, wk[car_i].st, wk[car_j].ct, wk[car_j].st)
+        sum_x = 0.0  # on the first car
+        sum_y = 0.0
+        power = 0.0
+        for side in range(2):
+            if (bits >> (4 * side)) & 15 == 0:
+                continue
+            second = side == 1
+            i = car_j if second else car_i
+            j = car_i if second else car_j
+            a_j = car[j].half_l
+            b_j = car[j].half_w
+            ci = wk[i].ct
+            si = wk[i].st
+            cj = wk[j].ct
+            sj = wk[j].st
+            u0, w0, c, s = both[1] if second else both[0]
+            for corner in range(4):
+                if (bits >> (4 * side + corner)) & 1 == 0:
+                    continue
+                u, w = corner_of(car, i, corner)
+                ju = u0 + c * u - s * w
+                jw = w0 + s * u + c * w
+                if abs(ju) >= a_j + reach or abs(jw) >= b_j + reach:
+                    continue
+                row.near = 1.0
+                wall = outside_mask(ju, jw, a_j, b_j)
+                if wall == 0:
+                    wall = nearest_wall(ju, jw, a_j, b_j, state.mask[p, 4 * side + corner])
+                gap = 0.0
+                nu = 0.0
+                nw = 0.0
+                other_corner = -1
+                if wall == FRONT or wall == REAR:
+                    nu = 1.0 if wall == FRONT else -1.0
+                    gap = nu * ju - a_j
+                    if second and on_line(jw, b_j, s):
+                        continue
+                elif (wall & (FRONT | REAR)) == 0:
+                    nw = 1.0 if wall == LEFT else -1.0
+                    gap = nw * jw - b_j
+                    if second and on_line(ju, a_j, s):
+                        continue
+                else:
+                    if second:
+                        continue
+                    # both outside: corner of j that is nearest, if each lies in the other's
+                    # corner region
+                    su = 1.0 if wall & FRONT else -1.0
+                    sw = 1.0 if wall & LEFT else -1.0
+                    du = ju - su * a_j
+                    dw = jw - sw * b_j
+                    gap = math.sqrt(du * du + dw * dw)
+                    if gap >= reach or gap < 1e-12:
+                        continue
+                    # that corner in the frame of i: beyond both walls, on the side of this one
+                    eu = su * a_j - u0
+                    ew = sw * b_j - w0
+                    iu = c * eu + s * ew
+                    iw = -s * eu + c * ew
+                    a_i = car[i].half_l
+                    b_i = car[i].half_w
+                    if u * iu <= a_i * (a_i + ON_LINE) or w * iw <= b_i * (b_i + ON_LINE):
+                        continue
+                    nu = du / gap
+                    nw = dw / gap
+                    other_corner = (0 if su > 0.0 else 2) + (0 if sw > 0.0 else 1)
+                if gap >= reach:
+                    continue
+                nx = cj * nu - sj * nw
+                ny = sj * nu + cj * nw
+                # lever arms: of the corner, and of its foot on the other body
+                rx = ci * u - si * w
+                ry = si * u + ci * w
+                ou = ju - gap * nu
+                ow = jw - gap * nw
+                ox = cj * ou - sj * ow
+                oy = sj * ou + cj * ow
+                vx = v[j, 0] - v[j, 2] * oy - v[i, 0] + v[i, 2] * ry
+                vy = v[j, 1] + v[j, 2] * ox - v[i, 1] - v[i, 2] * rx
+                closing = nx * vx + ny * vy
+                f = _bell(par, gap) * speed_factor(closing, par.c1, par.c2, par.c3)
+                if f <= 0.0:
+                    continue
+                fx = f * nx
+                fy = f * ny
+                mi = rx * fy - ry * fx
+                mj = oy * fx - ox * fy
+                force[i, 0] += fx
+                force[i, 1] += fy
+                force[i, 2] += mi
+                force[j, 0] -= fx
+                force[j, 1] -= fy
+                force[j, 2] += mj
+                sign = -1.0 if second else 1.0
+                sum_x += sign * fx
+                sum_y += sign * fy
+                power += f * closing
+                if f > row.peak:
+                    row.peak = f
+                    row.corner = corner + 4 * side
+                    row.x = q[i, 0] + rx
+                    row.y = q[i, 1] + ry
+                    row.nx = sign * nx
+                    row.ny = sign * ny
+                    row.closing = closing
+                if report.shape[0]:
+                    _report_contact(
+                        report, i, j, corner, other_corner, fx, fy, mi, mj, f, gap, closing
+                    )
+        if row.near != 0.0:
+            row.fx = sum_x
+            row.fy = sum_y
+            row.power = power
+            total += power
+    return total
 
 
 @inner_jit
@@ -271,23 +290,10 @@ def collision_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> 
 
     Per-pair sums go into ``state.pair``.
     """
-    keep_separate()
-    wk = work.wk
-    pair = state.pair
-    power = 0.0
-    for a in range(1, 1 + work.active[0]):
-        p = work.active[a]
-        i = state.pairs[p, 0]
-        j = state.pairs[p, 1]
-        if pair[p].near != 0.0:
-            clear(pair, p)
-            pair[p].near = 0.0
-        seen = pair_frames(q, i, j, wk[i].ct, wk[i].st, wk[j].ct, wk[j].st)
-        if widest_gap(model.car, i, j, seen) <= model.par[0].buffer:
-            pair[p].near = 1.0
-            pair_contacts(model, state, q, v, wk, work.force, pair, work.report, p, seen)
-            power += pair[p].power
-    work.power[layout.E_COLLISION] = power
+    last = 1 + work.active[0]
+    work.power[layout.E_COLLISION] = pair_contacts(
+        model, state, work, q, v, work.wk, work.force, state.pair, 1, last
+    )
 
 
 # Moments inside a step -----------------------------------------------------------------------
@@ -313,17 +319,16 @@ def _passing(g0: float, d0: float, g1: float, d1: float) -> float:
 
 
 @inner_jit
-def _corner(
-    q: F64, v: F64, i: int, j: int, ci: float, si: float, cj: float, sj: float, u: float, w: float
-) -> tuple[float, float, float, float]:
-    """Place and velocity of the point (u, w) of car ``i`` in the frame of car ``j``."""
-    rx = ci * u - si * w
-    ry = si * u + ci * w
-    dx = q[i, 0] + rx - q[j, 0]
-    dy = q[i, 1] + ry - q[j, 1]
+def _drift(
+    v: F64, i: int, j: int, rx: float, ry: float, dx: float, dy: float, cj: float, sj: float
+) -> tuple[float, float]:
+    """Velocity, in the frame of car ``j``, of the point (rx, ry) from the centre of car ``i``.
+
+    (dx, dy) is the point from the centre of ``j``.
+    """
     vx = v[i, 0] - v[i, 2] * ry - v[j, 0] + v[j, 2] * dy
     vy = v[i, 1] + v[i, 2] * rx - v[j, 1] - v[j, 2] * dx
-    return cj * dx + sj * dy, -sj * dx + cj * dy, cj * vx + sj * vy, -sj * vx + cj * vy
+    return cj * vx + sj * vy, -sj * vx + cj * vy
 
 
 @inner_jit
@@ -341,14 +346,19 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
     par = model.par[0]
     car = model.car
     wk = work.wk
-    reach = par.buffer
+    reach = par.reach
     least = JUMP * par.force_max
     share = 1.0
+    q0 = state.q
+    q1 = work.stage_q
     for a in range(1, 1 + work.active[0]):
         p = work.active[a]
         if state.pair[p].near == 0.0:
             continue
+        bits = work.corners[a]
         for side in range(2):
+            if (bits >> (4 * side)) & 15 == 0:
+                continue
             i = state.pairs[p, side]
             j = state.pairs[p, 1 - side]
             a_i = car[i].half_l
@@ -359,21 +369,35 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
             si = wk[i].st
             cj = wk[j].ct
             sj = wk[j].st
-            si0, ci0 = sincos(state.q[i, 2])
-            sj0, cj0 = sincos(state.q[j, 2])
             for corner in range(4):
+                if (bits >> (4 * side + corner)) & 1 == 0:
+                    continue
                 u, w = corner_of(car, i, corner)
-                x1, y1, vx1, vy1 = _corner(work.stage_q, work.stage_v, i, j, ci, si, cj, sj, u, w)
+                rx1 = ci * u - si * w
+                ry1 = si * u + ci * w
+                dx1 = q1[i, 0] + rx1 - q1[j, 0]
+                dy1 = q1[i, 1] + ry1 - q1[j, 1]
+                x1 = cj * dx1 + sj * dy1
+                y1 = -sj * dx1 + cj * dy1
                 if abs(x1) > a_j + 2.0 * reach or abs(y1) > b_j + 2.0 * reach:
                     continue
-                x0, y0, vx0, vy0 = _corner(state.q, state.v, i, j, ci0, si0, cj0, sj0, u, w)
+                ci0 = wk[i].ct0
+                si0 = wk[i].st0
+                cj0 = wk[j].ct0
+                sj0 = wk[j].st0
+                rx0 = ci0 * u - si0 * w
+                ry0 = si0 * u + ci0 * w
+                dx0 = q0[i, 0] + rx0 - q0[j, 0]
+                dy0 = q0[i, 1] + ry0 - q0[j, 1]
+                x0 = cj0 * dx0 + sj0 * dy0
+                y0 = -sj0 * dx0 + cj0 * dy0
                 for axis in range(2):
                     # z along the wall whose end is passed, n across it
                     if axis == 0:
-                        z0, z1, dz0, dz1, end = x0, x1, vx0, vx1, a_j
+                        z0, z1, end = x0, x1, a_j
                         n0, n1, wall = y0, y1, b_j
                     else:
-                        z0, z1, dz0, dz1, end = y0, y1, vy0, vy1, b_j
+                        z0, z1, end = y0, y1, b_j
                         n0, n1, wall = x0, x1, a_j
                     on = 1.0 if z1 > 0.0 else -1.0
                     g0 = on * z0 - end
@@ -391,8 +415,8 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
                         # a corner that meets the other's corner goes on to meet its wall
                         ex = on * end if axis == 0 else math.copysign(wall, n)
                         ey = math.copysign(wall, n) if axis == 0 else on * end
-                        fx = cj * ex - sj * ey + work.stage_q[j, 0] - work.stage_q[i, 0]
-                        fy = sj * ex + cj * ey + work.stage_q[j, 1] - work.stage_q[i, 1]
+                        fx = cj * ex - sj * ey + q1[j, 0] - q1[i, 0]
+                        fy = sj * ex + cj * ey + q1[j, 1] - q1[i, 1]
                         iu = ci * fx + si * fy
                         iw = -si * fx + ci * fy
                         if u * iu > a_i * a_i and w * iw > b_i * b_i:
@@ -408,8 +432,12 @@ def first_jump(model: Model, state: State, work: Work, h: float) -> float:
                         depth = n - wall if came == FRONT or came == LEFT else -n - wall
                         if _bell(par, depth) < least:
                             continue
+                    vx0, vy0 = _drift(state.v, i, j, rx0, ry0, dx0, dy0, cj0, sj0)
+                    vx1, vy1 = _drift(work.stage_v, i, j, rx1, ry1, dx1, dy1, cj, sj)
+                    d0 = on * h * (vx0 if axis == 0 else vy0)
+                    d1 = on * h * (vx1 if axis == 0 else vy1)
                     if g0 <= 0.0:
-                        share = min(share, _passing(g0, on * h * dz0, g1, on * h * dz1))
+                        share = min(share, _passing(g0, d0, g1, d1))
                     else:
-                        share = min(share, _passing(-g0, -on * h * dz0, -g1, -on * h * dz1))
+                        share = min(share, _passing(-g0, -d0, -g1, -d1))
     return share

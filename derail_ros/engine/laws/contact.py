@@ -7,6 +7,8 @@ Gap law, x the distance (negative inside), a bell with its peak at contact:
 
     F_d(x) = F_max B(x / d_c),    B(0) = 1,    B(1) = 1/2,    F_d = 0 for x >= d_b
 
+(a run leaves out what is below 1e-9 F_max: ``reach``)
+
     gaussian      B(r) = 2^-r^2
     lorentzian    B(r) = 1 / (1 + r^2)
     sech2         B(r) = 1 / cosh(r arcosh(sqrt 2))^2
@@ -46,6 +48,20 @@ INSIDE = {"held": 0, "even": 1}
 
 LN_2 = 0.6931471805599453
 ARCOSH_SQRT_2 = 0.881373587019543
+
+NOTHING = 1e-9
+"""Forces below this share of ``F_max`` (some millinewtons) count as none."""
+
+
+def reach(d_c: float, d_b: float, law: int) -> float:
+    """Gap beyond which there is no force, m: ``d_b``, or where it is below NOTHING."""
+    bells = (
+        math.sqrt(math.log2(1.0 / NOTHING)),
+        math.sqrt(1.0 / NOTHING),
+        math.acosh(NOTHING**-0.5) / ARCOSH_SQRT_2,
+        NOTHING**-0.25,
+    )
+    return min(d_b, bells[law] * d_c)
 
 
 @jit
