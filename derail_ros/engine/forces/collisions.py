@@ -156,8 +156,9 @@ def pair_contacts(
     keep_separate()
     par = model.par[0]
     car = model.car
-    reach = par.reach
     report = work.report
+    # what is reported begins with the law; a run leaves out what is nothing
+    reach = par.buffer if report.shape[0] > 0 else par.reach
     total = 0.0
     for a in range(first, last):
         p = work.active[a]
