@@ -7,7 +7,7 @@ Gap law, x the distance (negative inside), a bell with its peak at contact:
 
     F_d(x) = F_max B(x / d_c),    B(0) = 1,    B(1) = 1/2,    F_d = 0 for x >= d_b
 
-(a run leaves out what is below 1e-9 F_max: ``reach``)
+(a run leaves out what is below 1e-12 F_max: ``reach``)
 
     gaussian      B(r) = 2^-r^2
     lorentzian    B(r) = 1 / (1 + r^2)
@@ -49,8 +49,8 @@ INSIDE = {"held": 0, "even": 1}
 LN_2 = 0.6931471805599453
 ARCOSH_SQRT_2 = 0.881373587019543
 
-NOTHING = 1e-9
-"""Forces below this share of ``F_max`` (some millinewtons) count as none."""
+NOTHING = 1e-12
+"""Forces below this share of ``F_max`` (some micronewtons) count as none."""
 
 
 def reach(d_c: float, d_b: float, law: int) -> float:
