@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from derail_ros.engine.arrays import F64, U8, Model, Rows, State, Work
+from derail_ros.engine.arrays import U8, Model, Rows, State, Work
 from derail_ros.engine.forces.collisions import (
     Frame,
     corner_of,

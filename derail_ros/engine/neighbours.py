@@ -73,8 +73,8 @@ def _see_corners(
 ) -> float:  # fmt: skip
     """The step ``h``, or less, for the corners of car ``i`` as car ``j`` sees them, s.
 
-    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s). Keeps
-    the corners' gaps and squared speeds in row ``a`` of ``work.seen``.
+    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s). The
+    gaps and squared speeds of the corners go into row ``a`` of ``work.seen``.
     """
     car = model.car
     x0, y0, c, s = seen
