@@ -57,6 +57,11 @@ def engine(name: str = PLANAR) -> Engine:
     return found
 
 
+def rises(name: str) -> bool:
+    """Whether a model computes heights of the cars."""
+    return "height" in engine(name).features
+
+
 def build(params: TrainParams) -> Simulation:
     """Build a run at its start, with the engine that the parameters name.
 

@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from derail_ros.vocabulary.params import Car, TrainParams
-from derail_ros.vocabulary.shapes import height_of
+from msg_adapters.car_frame import heights, places
 from msg_adapters.common import SENTINEL, RunContext
 from msg_adapters.definitions import message_class, serialize
 from msg_adapters.markers import BLUE, CAR_FLOOR, CAR_HEIGHT, COUPLER_HEIGHT, GAUGE
-from msg_adapters.state import FlatEncoder, above
+from msg_adapters.state import FlatEncoder
 from msg_adapters.templates import Template, marked_header, quaternion, vector
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class TransformEncoder:
 
     def __init__(self, params: TrainParams, context: RunContext, prefix: str = "") -> None:
         self.context = context
-        self._height = np.array([height_of(car) for car in params.cars])
+        self._height = heights(params.cars)
         found = []
         for number, car in enumerate(params.cars, 1):
             name = f"{prefix}car_{number}"
@@ -83,7 +83,7 @@ class TransformEncoder:
         """CDR bytes of ``tf2_msgs/TFMessage``."""
         half = 0.5 * (sample.coupler_yaw - sample.pose[:, 5:6])
         values = self._values
-        values[:, 0:3] = above(sample.pose, self._height, 0.0)
+        values[:, 0:3] = places(sample.pose, self._height)
         values[:, 3:7] = sample.quaternions
         values[:, 7::2], values[:, 8::2] = np.sin(half), np.cos(half)
         return self._encode(self.context.stamp(sample.time), values.reshape(-1))

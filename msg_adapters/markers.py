@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derail_ros.vocabulary.params import TrainParams
-from derail_ros.vocabulary.shapes import height_of
+from msg_adapters.car_frame import heights, places
 from msg_adapters.common import (
     NANOSECONDS,
     SENTINEL,
@@ -27,7 +27,6 @@ from msg_adapters.common import (
     SentinelContext,
 )
 from msg_adapters.definitions import message_class, serialize, typestore
-from msg_adapters.state import above
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -184,7 +183,7 @@ class MarkerEncoder:
         self._n = len(cars)
         self._length = np.array([car.length for car in cars])
         self._width = np.array([car.width for car in cars])
-        self._height = np.array([height_of(car) for car in cars])
+        self._height = heights(cars)
         self._represents = [car.represents for car in cars]
         self._standing = np.array(params.cut_numbers) > 0
         self._pivot = np.array([car.pivot_distance for car in cars])
@@ -306,7 +305,7 @@ class MarkerEncoder:
             self._lay_out(labels, coupled, reset)
         d, place = self._doubles, sample.pose[:, :3]
         box, label = np.empty((self._n, 7)), np.empty((self._n, 3))
-        box[:, :3] = above(sample.pose, self._height, CAR_FLOOR + 0.5 * CAR_HEIGHT)
+        box[:, :3] = places(sample.pose, self._height, CAR_FLOOR + 0.5 * CAR_HEIGHT)
         box[:, 3:] = sample.quaternions
         label[:] = place + (0.0, 0.0, CAR_FLOOR + CAR_HEIGHT + 1.5)
         d[self._cars], d[self._text] = box, label
@@ -334,18 +333,12 @@ class MarkerEncoder:
 
     def _coupler_points(self, sample: Sample) -> NDArray[np.float64]:
         """(2 C, 3) pivots joined by the couplings that hold, m."""
-        q = sample.q
-        held = np.flatnonzero(sample.coupled)
-        cos, sin = np.cos(q[:, 2]), np.sin(q[:, 2])
+        held, pose, height = np.flatnonzero(sample.coupled), sample.pose, self._height
         points = np.empty((len(held), 2, 3))
-        points[:, 0, 0] = q[held, 0] - self._pivot[held] * cos[held]
-        points[:, 0, 1] = q[held, 1] - self._pivot[held] * sin[held]
-        behind = held + 1
-        points[:, 1, 0] = q[behind, 0] + self._pivot[behind] * cos[behind]
-        points[:, 1, 1] = q[behind, 1] + self._pivot[behind] * sin[behind]
-        rise = self._pivot * np.sin(sample.pose[:, 4])  # of the rear pivot over the centre
-        points[:, 0, 2] = (sample.pose[:, 2] + rise)[held] + COUPLER_HEIGHT
-        points[:, 1, 2] = (sample.pose[:, 2] - rise)[behind] + COUPLER_HEIGHT
+        for end, (cars, sign) in enumerate(((held, -1.0), (held + 1, 1.0))):
+            points[:, end] = places(
+                pose[cars], height[cars], COUPLER_HEIGHT, sign * self._pivot[cars]
+            )
         return points.reshape(-1, 3)
 
 

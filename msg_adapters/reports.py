@@ -19,6 +19,7 @@ from derail_ros.vocabulary.params import DerailmentParams, TrainParams
 from derail_ros.vocabulary.site import Entered, SiteOutcome, Struck
 from derail_ros.vocabulary.status import STATUSES
 from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals, length_over_couplers
+from msg_adapters.car_frame import heights
 from msg_adapters.common import NANOSECONDS, RunContext, header, time_message
 from msg_adapters.definitions import message_class
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 CUT = "standing_cut"
 """Key of what ``Consist.more`` says of standing cars: the number of the cut of each, from 1, 0 for
 the train's own."""
+GRAVITY_HEIGHT = "gravity_height_m"
+"""Key of what ``Consist.more`` says of the mass centres in a model that computes heights: theirs
+over the rails at rest, from which ``TrainState.z`` counts, m."""
 TRACK_SPACING = 10.0
 """Distance between the points that describe the centre line, m."""
 TRACK_POINTS = 5000
@@ -58,10 +62,12 @@ def consist(
     engine_hash: str = "",
     car_types: Sequence[str] = (),
     files: Mapping[str, bytes] | None = None,
+    rises: bool = False,
 ) -> Any:
     """``derail_msgs/Consist``: what the train is made of and where the run comes from.
 
-    ``files`` are those that the scenario was made from: name -> content.
+    ``files`` are those that the scenario was made from: name -> content. ``rises``: the model
+    computes heights.
     """
     file = message_class("derail_msgs/msg/InputFile")
     cars = params.cars
@@ -113,6 +119,7 @@ def consist(
             quantity("length_over_couplers_m", doubles(map(length_over_couplers, cars)), "m"),
             *(quantity(key, doubles(getattr(c, key) for c in cars)) for key in TRAIN_COUNTS),
             *([quantity(CUT, params.cut_numbers)] if params.standing else []),
+            *([quantity(GRAVITY_HEIGHT, heights(cars), "m")] if rises else []),
         ],
     )
 

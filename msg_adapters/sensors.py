@@ -1,7 +1,8 @@
 """What sensors of cars would measure: the standard messages of ROS, from samples of a run.
 
 Ground truth with white noise of a given standard deviation, which the covariances tell. Frames are
-those of ``frames``; x is along the car, y to its left, z up.
+those of ``frames``; x is along the car, y to its left, z up. Each sensor measures at the origin of
+the frame that its messages name.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from derail_ros.vocabulary.params import GRAVITY, TrainParams
 from derail_ros.vocabulary.place import Datum
+from msg_adapters.car_frame import Motion, heights, motion
 from msg_adapters.common import SENTINEL, RunContext
 from msg_adapters.definitions import message_class
 from msg_adapters.templates import Template, marked_header, quaternion, vector
@@ -30,7 +32,7 @@ VENTING_TIME = 0.5
 """Time in which an emergency application takes the pipe's pressure at a car to 1/e of it, s. A
 guess: valves vent the pipe beside them within a second or two."""
 PLACES = ("body", "front_truck", "rear_truck")
-"""Places of an inertial measurement unit: the mass centre, or the axle boxes of a truck."""
+"""Places of an inertial measurement unit: the car, or the axle boxes of a truck."""
 
 
 class Sensor(ABC):
@@ -42,9 +44,19 @@ class Sensor(ABC):
 
     msgtype: str
 
-    def __init__(self, name: str, car: int, context: RunContext, noise: float, rng: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        car: int,
+        params: TrainParams,
+        context: RunContext,
+        noise: float,
+        rng: Any,
+        along: float = 0.0,
+    ) -> None:
         self.topic = f"car_{car + 1}/{name}"
         self.context, self.car, self.noise, self._rng = context, car, noise, rng
+        self._height, self._along = heights(params.cars[car : car + 1]), along
         self._template: Template | None = None
 
     def _noisy(self, values: Any, noise: float | None = None) -> NDArray[np.float64]:
@@ -56,6 +68,25 @@ class Sensor(ABC):
             self._template = Template(self._message())
         return self._template(self.context.stamp(sample.time), np.asarray(values, dtype=float))
 
+    def _motion(self, sample: Sample) -> Motion:
+        return motion(sample, self._height, slice(self.car, self.car + 1))
+
+    def _in_car(self, sample: Sample) -> tuple[NDArray, NDArray, NDArray]:
+        """Velocity, acceleration less that of free fall, and rates, in the car's axes.
+
+        Of the point at ``along`` m on the x axis of the car's frame: with v, a, w of its origin,
+        ``v + w x r`` and ``a + dw/dt x r + w x (w x r)``.
+        """
+        m, x = self._motion(sample), self._along
+        turn = m.axes[0].T
+        spin, growth = turn @ m.spin[0], turn @ m.spin_growth[0]
+        p, q, r = spin
+        velocity = turn @ m.velocity[0] + [0.0, r * x, -q * x]
+        acceleration = turn @ m.acceleration[0] + [
+            -(q**2 + r**2) * x, growth[2] * x + p * q * x, p * r * x - growth[1] * x
+        ]  # fmt: skip
+        return velocity, acceleration + GRAVITY * turn[:, 2], spin
+
     @abstractmethod
     def _message(self) -> Any:
         """A message with marks in the place of what changes."""
@@ -65,27 +96,21 @@ class Sensor(ABC):
         """CDR bytes of the message."""
 
 
-def _in_car(sample: Sample, car: int, along: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Velocity and acceleration of a place on a car's axis, and its rates, in the car's axes.
-
-    v = v_m + w x r, a = a_m + dw/dt x r + w x (w x r), with r = (``along``, 0, 0) from the mass
-    centre and yaw only: the planar model has neither roll nor pitch.
-    """
-    yaw, rate, growth = (a[car, 5] for a in (sample.pose, sample.velocity, sample.acceleration))
-    c, s = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    velocity = turn @ sample.velocity[car, :3] + [0.0, rate * along, 0.0]
-    acceleration = turn @ sample.acceleration[car, :3] + [-(rate**2) * along, growth * along, 0.0]
-    return velocity, acceleration, sample.velocity[car, 3:]
-
-
 class Odometry(Sensor):
-    """``nav_msgs/Odometry``: pose in the inertial frame, velocity in the car's."""
+    """``nav_msgs/Odometry``: pose of the car's frame in the inertial one, velocity in its own."""
 
     msgtype = "nav_msgs/msg/Odometry"
 
-    def __init__(self, car: int, context: RunContext, prefix: str, noise: float, rng: Any) -> None:
-        super().__init__("odometry", car, context, noise, rng)
+    def __init__(
+        self,
+        car: int,
+        params: TrainParams,
+        context: RunContext,
+        prefix: str,
+        noise: float,
+        rng: Any,
+    ) -> None:
+        super().__init__("odometry", car, params, context, noise, rng)
         self._child = f"{prefix}car_{car + 1}"
 
     def _message(self) -> Any:
@@ -101,10 +126,9 @@ class Odometry(Sensor):
         )
 
     def __call__(self, sample: Sample) -> bytes:
-        i = self.car
-        velocity, _, rates = _in_car(sample, i, 0.0)
-        turn = sample.quaternions[i]
-        return self._bytes(sample, [*sample.pose[i, :3], *turn, *velocity, *rates])
+        velocity, _, rates = self._in_car(sample)
+        place, turn = self._motion(sample).place[0], sample.quaternions[self.car]
+        return self._bytes(sample, [*place, *turn, *velocity, *rates])
 
 
 class Imu(Sensor):
@@ -118,17 +142,17 @@ class Imu(Sensor):
     def __init__(
         self,
         car: int,
-        place: str,
         params: TrainParams,
         context: RunContext,
         prefix: str,
         noise: float,
         rng: Any,
+        place: str = "body",
         turn_noise: float = 0.0,
     ) -> None:
-        super().__init__(f"imu_{place}", car, context, noise, rng)
         distance = params.cars[car].truck_distance
-        self._along = {"body": 0.0, "front_truck": distance, "rear_truck": -distance}[place]
+        along = {"body": 0.0, "front_truck": distance, "rear_truck": -distance}[place]
+        super().__init__(f"imu_{place}", car, params, context, noise, rng, along)
         self._frame = f"{prefix}car_{car + 1}" + ("" if place == "body" else f"/{place}")
         self._turn_noise = turn_noise
 
@@ -147,21 +171,27 @@ class Imu(Sensor):
         )
 
     def __call__(self, sample: Sample) -> bytes:
-        _, acceleration, rates = _in_car(sample, self.car, self._along)
-        felt = self._noisy(acceleration + [0.0, 0.0, GRAVITY])
-        turn = sample.quaternions[self.car]
+        _, felt, rates = self._in_car(sample)
+        felt, turn = self._noisy(felt), sample.quaternions[self.car]
         return self._bytes(sample, [*turn, *self._noisy(rates, self._turn_noise), *felt])
 
 
 class NavSat(Sensor):
-    """``sensor_msgs/NavSatFix`` of the mass centre; ``noise`` is in metres each way."""
+    """``sensor_msgs/NavSatFix`` of the car's frame; ``noise`` is in metres each way."""
 
     msgtype = "sensor_msgs/msg/NavSatFix"
 
     def __init__(
-        self, car: int, context: RunContext, prefix: str, noise: float, rng: Any, datum: Datum
+        self,
+        car: int,
+        params: TrainParams,
+        context: RunContext,
+        prefix: str,
+        noise: float,
+        rng: Any,
+        datum: Datum,
     ) -> None:
-        super().__init__("fix", car, context, noise, rng)
+        super().__init__("fix", car, params, context, noise, rng)
         self._frame, self._datum = f"{prefix}car_{car + 1}", datum
 
     def _message(self) -> Any:
@@ -177,7 +207,7 @@ class NavSat(Sensor):
         )
 
     def __call__(self, sample: Sample) -> bytes:
-        place = self._noisy(sample.pose[self.car, :3])
+        place = self._noisy(self._motion(sample).place[0])
         return self._bytes(sample, self._datum.fix(*place.tolist()))
 
 
@@ -198,8 +228,8 @@ class WheelSpeed(Sensor):
         noise: float,
         rng: Any,
     ) -> None:
-        super().__init__("wheel_speed", car, context, noise, rng)
-        self._along = params.cars[car].truck_distance
+        along = params.cars[car].truck_distance
+        super().__init__("wheel_speed", car, params, context, noise, rng, along)
         self._frame = f"{prefix}car_{car + 1}/front_truck"
 
     def _message(self) -> Any:
@@ -210,7 +240,7 @@ class WheelSpeed(Sensor):
         )
 
     def __call__(self, sample: Sample) -> bytes:
-        velocity, _, _ = _in_car(sample, self.car, self._along)
+        velocity, _, _ = self._in_car(sample)
         rolls = bool(sample.truck_on[self.car, 0])
         return self._bytes(sample, self._noisy(velocity[0] if rolls else math.nan))
 
@@ -228,13 +258,14 @@ class PipePressure(Sensor):
     def __init__(
         self,
         car: int,
+        params: TrainParams,
         context: RunContext,
         prefix: str,
         noise: float,
         rng: Any,
         reached: Mapping[int, float],
     ) -> None:
-        super().__init__("brake_pipe_pressure", car, context, noise, rng)
+        super().__init__("brake_pipe_pressure", car, params, context, noise, rng)
         self._frame, self._reached = f"{prefix}car_{car + 1}", reached
 
     def _message(self) -> Any:

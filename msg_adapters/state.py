@@ -13,6 +13,7 @@ import numpy as np
 
 from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 from derail_ros.vocabulary.params import TrainParams
+from msg_adapters.car_frame import heights, places
 from msg_adapters.common import NANOSECONDS, RunContext
 from msg_adapters.definitions import fields_of, message_class, serialize
 from msg_adapters.reports import quantity
@@ -29,28 +30,12 @@ POSE_DOUBLES = 7
 """x, y, z and the quaternion x, y, z, w."""
 
 
-def above(
-    pose: NDArray[np.float64], height: NDArray[np.float64], level: float
-) -> NDArray[np.float64]:
-    """(N, 3) places of the point of each car that stands ``level`` m over the rail at rest, m.
-
-    A car turns about its centre of gravity, at rest at ``height`` (N,) over the rail: with u its
-    upward axis and e_z that of space, the point is at ``(x, y, z + level) + (level - height)
-    (u - e_z)``.
-    """
-    place = pose[:, :3] + np.array([0.0, 0.0, level])
-    if not pose[:, 3:5].any():
-        return np.asarray(place)
-    (sr, sp, sy), (cr, cp, cy) = np.sin(pose[:, 3:6]).T, np.cos(pose[:, 3:6]).T
-    lean = np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr - 1.0], axis=-1)
-    return np.asarray(place + (level - height)[:, None] * lean)
-
-
 class PoseEncoder:
     """``car_poses``: the bytes of one message, of which only time and poses are renewed."""
 
-    def __init__(self, n_cars: int, context: RunContext) -> None:
+    def __init__(self, params: TrainParams, context: RunContext) -> None:
         self.context = context
+        self._height, n_cars = heights(params.cars), len(params.cars)
         point = message_class("geometry_msgs/msg/Point")
         quaternion = message_class("geometry_msgs/msg/Quaternion")
         pose = message_class("geometry_msgs/msg/Pose")
@@ -67,9 +52,9 @@ class PoseEncoder:
         self._stamp = np.frombuffer(self._data, "<u4", 2, 4)
 
     def __call__(self, sample: Sample) -> bytes:
-        """CDR bytes of ``geometry_msgs/PoseArray``: the mass centres, in order of the cars."""
+        """CDR bytes of ``geometry_msgs/PoseArray``: the frames of the cars, in their order."""
         self._stamp[:] = divmod(self.context.stamp(sample.time), NANOSECONDS)
-        self._poses[:, 0:3] = sample.pose[:, 0:3]
+        self._poses[:, 0:3] = places(sample.pose, self._height)
         self._poses[:, 3:7] = sample.quaternions
         return bytes(self._data)
 
@@ -164,9 +149,9 @@ class FlatEncoder:
         self._stamp[:] = divmod(stamp, NANOSECONDS)
         for name, key, view in self._plan:
             view[...] = fields[name] if key is None else fields[name][key]
-        for name, keys, places in self._singles:
+        for name, keys, at in self._singles:
             values = fields[name]
-            self._doubles[places] = [values[key] for key in keys]
+            self._doubles[at] = [values[key] for key in keys]
         return bytes(memoryview(self._buffer)[PAD:])
 
 
@@ -175,7 +160,7 @@ class StateEncoder:
 
     def __init__(self, params: TrainParams, context: RunContext) -> None:
         self.context = context
-        self.poses = PoseEncoder(len(params.cars), context)
+        self.poses = PoseEncoder(params, context)
         self._encoders: dict[str, FlatEncoder] = {}
         self._makers = {
             "train_state": (self.train_state, self._train_state),

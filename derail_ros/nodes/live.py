@@ -171,16 +171,16 @@ class LiveMessages:
                 self._log.warning(f"no {name}: the train has cars 1 to {n} only")
             for car, place in cars:
                 rng = np.random.default_rng([settings.sensor_seed, number, car])
-                common = (context, prefix, noise, rng)
+                common = (params, context, prefix, noise, rng)
                 if name == "odometry":
                     yield rate, sensors.Odometry(car, *common)
                 elif name == "imu":
-                    where, turn_noise = place or "body", settings.imu_turn_noise
-                    yield rate, sensors.Imu(car, where, params, *common, turn_noise)
+                    turn_noise = settings.imu_turn_noise
+                    yield rate, sensors.Imu(car, *common, place or "body", turn_noise)
                 elif name == "navsat" and self._datum is not None:
                     yield rate, sensors.NavSat(car, *common, self._datum)
                 elif name == "wheel_speed":
-                    yield rate, sensors.WheelSpeed(car, params, *common)
+                    yield rate, sensors.WheelSpeed(car, *common)
                 elif name == "pipe_pressure":
                     yield rate, sensors.PipePressure(car, *common, self._reached)
 

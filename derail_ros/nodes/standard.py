@@ -11,12 +11,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from derail_ros import models
 from derail_ros.nodes.commands import Answer
 from derail_ros.nodes.core import NO_RUN, Refusal, SimulatorCore, State
 from derail_ros.nodes.serving import DeferredService, service_qos, snake
 from derail_ros.recording.session import Prepared, Session
 from derail_ros.scenario import list_scenarios
+from derail_ros.vocabulary.params import Car
+from derail_ros.vocabulary.shapes import box_of
+from msg_adapters.car_frame import Motion, heights, motion
 from msg_adapters.common import NANOSECONDS
 from msg_adapters.markers import CAR_FLOOR, CAR_HEIGHT
 
@@ -39,6 +44,8 @@ COLLIDING_FEATURES = (
 """Features of these services."""
 EVERYWHERE = 1e9
 """No car is beyond, m: the products of larger bounds would be no numbers."""
+TOUCHING = 1e-9
+"""Boxes that are closer overlap, m: of parallel axes nothing is left but rounding."""
 REFUSED = {
     "SpawnEntity": "the train is that of its scenario; load_world takes another one",
     "SpawnEntities": "the train is that of its scenario; load_world takes another one",
@@ -230,10 +237,9 @@ class StandardInterface:
         from geometry_msgs.msg import Vector3
 
         def fill(i: int) -> None:
-            car = self._run.params.cars[i]
-            x, y, top = 0.5 * car.length, 0.5 * car.width, CAR_FLOOR + CAR_HEIGHT
+            corners = self._box(self._run.params.cars[i]).tolist()
             response.bounds.type = self._msg.Bounds.TYPE_BOX
-            response.bounds.points = [Vector3(x=x, y=y, z=top), Vector3(x=-x, y=-y, z=0.0)]
+            response.bounds.points = [Vector3(x=x, y=y, z=z) for x, y, z in corners]
 
         return self._of_car(request, response, fill)
 
@@ -277,7 +283,7 @@ class StandardInterface:
 
     def _overlaps(self, i: int, bounds: Any) -> bool:
         """Whether a car's box overlaps with bounds in the world."""
-        session, car = self._run, self._run.params.cars[i]
+        car = self._run.params.cars[i]
         kinds = self._msg.Bounds
         points = np.array([[p.x, p.y, p.z] for p in bounds.points]).reshape(-1, 3)
         if bounds.type not in (kinds.TYPE_BOX, kinds.TYPE_SPHERE):
@@ -287,39 +293,50 @@ class StandardInterface:
         if bounds.type == kinds.TYPE_SPHERE and points[1, 0] < 0.0:
             raise Refusal(f"the radius of bounds must be from 0 up, got {points[1, 0]:g}")
         points = np.clip(points, -EVERYWHERE, EVERYWHERE)
-        x, y, z, yaw = session.sample.pose[i, [0, 1, 2, 5]]
-        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        half = 0.5 * np.array([car.length, car.width])
-        low, high = z, z + CAR_FLOOR + CAR_HEIGHT
+        moving = self._motion(i)
+        upper, lower = self._box(car)
+        turn, half = moving.axes[0], 0.5 * (upper - lower)
+        middle = moving.place[0] + turn @ (0.5 * (upper + lower))
         if bounds.type == kinds.TYPE_SPHERE:
-            across = np.maximum(np.abs(turn @ (points[0, :2] - (x, y))) - half, 0.0)
-            up = max(low - points[0, 2], points[0, 2] - high, 0.0)
-            return bool(np.hypot(np.hypot(*across), up) <= points[1, 0])
+            beyond = np.maximum(np.abs(turn.T @ (points[0] - middle)) - half, 0.0)
+            return bool(np.linalg.norm(beyond) <= points[1, 0])
         least, most = points.min(axis=0), points.max(axis=0)
-        if low > most[2] or high < least[2]:
-            return False
-        # Separating axes: those of the box, then those of the car.
-        apart, size = 0.5 * (least + most)[:2] - (x, y), 0.5 * (most - least)[:2]
-        over = np.abs(turn)
-        return bool(
-            (np.abs(apart) <= size + over.T @ half).all()
-            and (np.abs(turn @ apart) <= half + over @ size).all()
-        )
+        apart, size = 0.5 * (least + most) - middle, 0.5 * (most - least)
+        # Separating axes: those of the box, those of the car, and across one of each.
+        across = np.cross(np.eye(3)[:, None], turn.T[None]).reshape(-1, 3)
+        lines = np.concatenate([np.eye(3), turn.T, across])
+        reach = np.abs(lines) @ size + np.abs(lines @ turn) @ half
+        return bool((np.abs(lines @ apart) <= reach + TOUCHING).all())
+
+    def _box(self, car: Car) -> NDArray[np.float64]:
+        """Upper and lower corner of the box of a car in its frame, m."""
+        width, top = car.width, CAR_FLOOR + CAR_HEIGHT
+        if models.rises(self._run.params.model):
+            width, top = box_of(car)
+        x, y = 0.5 * car.length, 0.5 * width
+        return np.array([[x, y, top], [-x, -y, 0.0]])
+
+    def _motion(self, i: int) -> Motion:
+        session = self._run
+        one = slice(i, i + 1)
+        return motion(session.sample, heights(session.params.cars[one]), one)
 
     def _state(self, i: int) -> Any:
         session = self._run
-        sample, state = session.sample, self._msg.EntityState()
+        moving, state = self._motion(i), self._msg.EntityState()
         state.header.frame_id = session.context.frame_id
         stamp = divmod(session.stamp, NANOSECONDS)
         state.header.stamp.sec, state.header.stamp.nanosec = stamp
         pose = state.pose.position, state.pose.orientation
-        values = [sample.pose[i, :3], sample.quaternions[i]]
-        pairs = [("xyz", pose[0]), ("xyzw", pose[1])]
-        moving = (sample.velocity, state.twist), (sample.acceleration, state.acceleration)
-        for rates, part in moving:
-            values += [rates[i, :3], rates[i, 3:]]
-            pairs += [("xyz", part.linear), ("xyz", part.angular)]
-        for (names, message), numbers in zip(pairs, values):
+        twist, growth = state.twist, state.acceleration
+        for names, message, numbers in (
+            ("xyz", pose[0], moving.place[0]),
+            ("xyzw", pose[1], session.sample.quaternions[i]),
+            ("xyz", twist.linear, moving.velocity[0]),
+            ("xyz", twist.angular, moving.spin[0]),
+            ("xyz", growth.linear, moving.acceleration[0]),
+            ("xyz", growth.angular, moving.spin_growth[0]),
+        ):
             for name, number in zip(names, numbers.tolist()):
                 setattr(message, name, number)
         return state

@@ -16,7 +16,7 @@ from derail_ros.vocabulary.events import Collision, Event
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.site import SiteParams
 from derail_ros.vocabulary.train import TRAIN_COUNTS, TrainTotals
-from msg_adapters.reports import CUT
+from msg_adapters.reports import CUT, GRAVITY_HEIGHT
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -39,6 +39,7 @@ class Cars:
     represents : (N,) cars that a body stands for
     totals : of the train; without loads, empties and locomotives in older recordings
     cut : (N,) number of its cut of standing cars, from 1; 0 for the train's own, which come first
+    gravity_height : (N,) of the mass centre over the rail at rest, m; nan if it is not told
     """
 
     name: tuple[str, ...]
@@ -55,6 +56,7 @@ class Cars:
     represents: Int
     totals: TrainTotals
     cut: Int
+    gravity_height: F64
 
     @classmethod
     def of_message(cls, m: Any) -> Cars:
@@ -86,6 +88,7 @@ class Cars:
             represents=np.array(m.represents_cars, dtype=np.int64),
             totals=totals,
             cut=cut,
+            gravity_height=told.get(GRAVITY_HEIGHT, np.full(len(pivot), math.nan)),
         )
 
     def __len__(self) -> int:

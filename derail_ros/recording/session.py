@@ -236,6 +236,7 @@ class Session:
                 engine_hash=models.engine_hash(params.model),
                 car_types=prepared.car_types,
                 files=prepared.files,
+                rises=models.rises(params.model),
             ),
             context.base,
         )

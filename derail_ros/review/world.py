@@ -52,7 +52,8 @@ def bodies(run: RecordedRun) -> list[Body]:
     for i, name in enumerate(cars.name):
         kind = kind_of(f"{name} {cars.kind[i]}")
         mass = float(cars.mass[i] / cars.represents[i])
-        height = gravity_height(kind, mass)
+        told = float(cars.gravity_height[i])
+        height = gravity_height(kind, mass) if np.isnan(told) else told
         shape = parts(kind, height, float(cars.length[i]), float(cars.width[i]),
                       float(cars.truck[i]))  # fmt: skip
         x, y, z = (size * size for size in shape[0].size)

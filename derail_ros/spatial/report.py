@@ -24,21 +24,22 @@ def make_sample(
     work: Work,
     space: Space,
     t: float,
-    last: tuple[F64, F64] | None,
+    last: tuple[F64, F64, F64] | None,
     energy: dict[str, float],
 ) -> Sample:
     """The state at ``t``, between that at the beginning of the step, ``last``, and its end."""
     pose, velocity, q, v, a = (x.copy() for x in (space.pose, space.rates, s.q, s.v, s.a))
+    acceleration = run.growth
     on, coupled = s.truck_on.copy(), s.coupled.copy()
     if last is not None:
         share = (t - run.previous_time) / (run.time - run.previous_time)
         mixed = (
-            (pose, last[0]), (velocity, last[1]), (q, s.q0), (v, s.v0), (a, s.a0)
+            (pose, last[0]), (velocity, last[1]), (acceleration, last[2]),
+            (q, s.q0), (v, s.v0), (a, s.a0),
         )  # fmt: skip
         for now, before in mixed:
             now[:] = before + share * (now - before)
         on, coupled = s.truck_on0.copy(), s.coupled0.copy()
-    acceleration = np.zeros_like(pose)
     acceleration[:, [0, 1, 5]] = a[:, :3]
     pose[:, 2] -= space.body["height"]
     r = work.report

@@ -223,7 +223,14 @@ class SpatialSimulation(PlanarSimulation):
         s = self._state
         s.q0[:], s.v0[:], s.a0[:] = s.q, s.v, s.a
         s.truck_on0[:], s.coupled0[:] = s.truck_on, s.coupled
-        self._last = self._space.pose.copy(), self._space.rates.copy()
+        self._last = self._space.pose.copy(), self._space.rates.copy(), self.growth
+
+    @property
+    def growth(self) -> Any:
+        """(N, 6) accelerations at the end of the last step, as differences over it."""
+        h = self.time - self.previous_time
+        rates = self._space.rates
+        return (rates - self._last[1]) / h if h > 0.0 else np.zeros_like(rates)
 
     # --- going on ----------------------------------------------------------------------------
 
@@ -371,11 +378,15 @@ class SpatialSimulation(PlanarSimulation):
         arrays["touch"] = np.array(arrays["touch"][:touches].tolist(), dtype=float)
         arrays["height"] = arrays["height"][:contacts]
         plane = np.frombuffer(super().to_bytes(), np.uint8)
-        pose, rates = self._last
+        pose, rates, growth = self._last
         header = {"mujoco": mujoco.__version__, "flat": self.flat}
         return pack(
-            header, {"plane": plane, "state": state, "pose0": pose, "rates0": rates, **arrays}
-        )
+            header,
+            {
+                "plane": plane, "state": state, "pose0": pose, "rates0": rates,
+                "growth0": growth, **arrays,
+            },
+        )  # fmt: skip
 
     @classmethod
     def from_bytes(cls, data: bytes) -> SpatialSimulation:
@@ -398,7 +409,7 @@ class SpatialSimulation(PlanarSimulation):
         height[: len(kept)] = kept
         self._space = space = self._space._replace(height=height)
         space.touch[: len(touch)] = [tuple(row) for row in touch]
-        self._last = arrays.pop("pose0"), arrays.pop("rates0")
+        self._last = tuple(arrays.pop(name) for name in ("pose0", "rates0", "growth0"))
         mujoco.mj_setState(self._mj, self._data, arrays.pop("state"), kind)
         for name, array in arrays.items():
             getattr(space, name)[:] = array

@@ -102,6 +102,16 @@ def height_of(car: Car) -> float:
     return gravity_height(kind, car.mass / car.represents)
 
 
+def box_of(car: Car) -> tuple[float, float]:
+    """Width and top of the box, from the rails up, that holds a car's shapes, m.
+
+    It is as long as the car.
+    """
+    kind = kind_of(car.name, bool(car.locomotives) and car.represents == 1)
+    found = parts(kind, height_of(car), car.length, car.width, car.truck_distance)
+    return max(part.size[1] for part in found), kind.top
+
+
 def contact_response(mass: float) -> tuple[float, float]:
     """Stiffness (1/s^2) and damping (1/s) over the mass moved of contacts of a car of ``mass`` kg.
 

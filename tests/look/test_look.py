@@ -99,7 +99,7 @@ def _train() -> Any:
     cars = Cars(
         ("a", "b"), ("", ""), ("", ""), one, one, one, one, one, np.ones((2, 2)),
         (("E", "E"), ("E", "E")), np.ones(1), np.ones(2, dtype=np.int64),
-        TrainTotals(2), np.zeros(2, dtype=np.int64),
+        TrainTotals(2), np.zeros(2, dtype=np.int64), np.ones(2),
     )  # fmt: skip
     return cars, SampledLine()
 

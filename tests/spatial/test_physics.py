@@ -73,6 +73,7 @@ def test_a_car_falls_from_the_rails():
     run.advance_to(0.15)
     t, h = run.time, run.step_size
     assert z_of(run) == pytest.approx(-0.5 * GRAVITY * t * (t + h), rel=1e-6)
+    assert run.sample().acceleration[0, 2] == pytest.approx(-GRAVITY, rel=1e-6)
     run.advance_to(0.4)
     sinks = GRAVITY / GROUND_STIFFNESS
     assert -RAIL_HEIGHT - 2.5 * sinks < z_of(run) < -RAIL_HEIGHT + 0.01
@@ -257,6 +258,13 @@ def test_the_ledger_balances_and_a_run_is_repeated_to_the_bit():
     assert replayed.state_hash() == run.state_hash()
     between = 0.3 * run.previous_time + 0.7 * run.time
     low, high = run._last[0], run.sample().pose + np.eye(6)[2] * run._space.body["height"][:, None]
+    # accelerations are differences of the rates over the step, all six of them
+    growth = (run.sample().velocity - run._last[1]) / (run.time - run.previous_time)
+    assert run.sample().acceleration == pytest.approx(growth, abs=1e-9)
+    assert (np.abs(growth).max(axis=0) > 1e-3).all()
+    half = 0.3 * run._last[2] + 0.7 * growth
+    assert run.sample(between).acceleration[:, 2:5] == pytest.approx(half[:, 2:5], abs=1e-9)
+    assert again.sample(between).acceleration.tolist() == run.sample(between).acceleration.tolist()
     mixed = run.sample(between).pose + np.eye(6)[2] * run._space.body["height"][:, None]
     assert mixed == pytest.approx(0.3 * low + 0.7 * high, abs=1e-9)
 
