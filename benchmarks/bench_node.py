@@ -16,6 +16,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the graph of the tests
 
+from benchmarks.bench_performance import fixed_kernel
 from derail_ros.engine import PlanarSimulation, warm_up
 from derail_ros.recording import read_manifest
 from derail_ros.scenario import loads_scenario
@@ -203,6 +204,7 @@ def main() -> None:
         print("bench_node: needs ROS 2 (rclpy)")
         return
     warm_up()
+    before = fixed_kernel()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "long.yaml").write_text(SCENARIO, encoding="utf-8")
@@ -210,6 +212,7 @@ def main() -> None:
         loads(folder, frames=True)
         services(folder)
         following(folder)
+    print(f"\nfixed kernel {before:.2f} ms before and {fixed_kernel():.2f} ms after")
 
 
 if __name__ == "__main__":

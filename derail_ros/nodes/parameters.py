@@ -261,6 +261,17 @@ SIMULATOR = (
         read_only=True,
     ),
     Parameter(
+        "standard_namespace",
+        "",
+        "namespace of the standard's services and action: `/` for `/get_entities`, as clients of "
+        "other simulators call it; empty: `~/get_entities`",
+        read_only=True,
+        form=(
+            "/?|/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*",
+            "a namespace, such as / or sim",
+        ),
+    ),
+    Parameter(
         "record",
         "",
         "folder of the lossless recording that the simulator writes; it must not exist; "

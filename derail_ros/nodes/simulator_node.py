@@ -259,6 +259,7 @@ class Simulator(Program):
                 self._prepare,
                 lambda: bool(self._loads) or self._first is not None,
                 self._name_scenario,
+                namespace=self.settings.standard_namespace,
                 legacy=legacy,
             )
         except ImportError as error:

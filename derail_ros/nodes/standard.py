@@ -66,7 +66,8 @@ class _Unsupported(Exception):
 class StandardInterface:
     """Offers the standard's services and its action on a node.
 
-    ``legacy`` names of :data:`COLLIDING` are left to the services of ``derail_msgs``.
+    They are in ``namespace``, by default in that of the node's own name. ``legacy`` names of
+    :data:`COLLIDING` are left to the services of ``derail_msgs``.
     ``load`` reads a scenario (name, text) in its own thread, calls back, and counts as loading.
 
     Raises
@@ -83,6 +84,7 @@ class StandardInterface:
         loading: Callable[[], bool],
         loaded: Callable[[str], None],
         *,
+        namespace: str = "",
         legacy: bool = False,
     ) -> None:
         from simulation_interfaces import action, msg, srv
@@ -90,6 +92,7 @@ class StandardInterface:
         self._core, self._load, self._loading, self._loaded = core, load, loading, loaded
         self._msg, self._srv, self._legacy = msg, srv, legacy
         self._ok = msg.Result(result=msg.Result.RESULT_OK)
+        place = f"{(namespace or '~').rstrip('/')}/"
         for name in (
             "GetSimulatorFeatures", "GetSimulationState", "SetSimulationState", "ResetSimulation",
             "GetEntities", "GetEntityState", "GetEntitiesStates", "GetEntityInfo",
@@ -100,13 +103,14 @@ class StandardInterface:
             if hasattr(srv, name) and not (legacy and service in COLLIDING):
                 handler = self._refuser(name) if name in REFUSED else getattr(self, f"_{service}")
                 kind = getattr(srv, name)
-                node.create_service(kind, f"~/{service}", handler, qos_profile=service_qos())
+                node.create_service(kind, place + service, handler, qos_profile=service_qos())
         self._deferred = [
-            DeferredService(node, getattr(srv, name), f"~/{snake(name)}", handler)
+            DeferredService(node, getattr(srv, name), place + snake(name), handler)
             for name, handler in (("LoadWorld", self._load_world), ("StepSimulation", self._step))
             if hasattr(srv, name) and not (legacy and snake(name) in COLLIDING)
         ]
-        self._action = _StepAction(node, action.SimulateSteps, core, self._result)
+        kind = action.SimulateSteps
+        self._action = _StepAction(node, kind, f"{place}simulate_steps", core, self._result)
 
     def _result(self, code: int, why: str) -> Any:
         return self._msg.Result(result=code, error_message=why)
@@ -409,7 +413,8 @@ class StandardInterface:
         return response
 
     def _get_available_worlds(self, request: Any, response: Any) -> Any:
-        if request.additional_sources or request.filter.tags:
+        elsewhere = bool(request.additional_sources) and not request.continue_on_error
+        if elsewhere or request.filter.tags:
             response.result = self._unsupported(
                 "scenarios have no tags, and are looked for in the folders of scenario_dirs only"
             )
@@ -425,7 +430,7 @@ class StandardInterface:
 class _StepAction:
     """The action ``simulate_steps``: ticks with feedback after each, which can be cancelled."""
 
-    def __init__(self, node: Any, kind: Any, core: SimulatorCore, result: Any) -> None:
+    def __init__(self, node: Any, kind: Any, name: str, core: SimulatorCore, result: Any) -> None:
         from rclpy.action import ActionServer, CancelResponse
 
         self._kind, self._core, self._make = kind, core, result
@@ -433,7 +438,7 @@ class _StepAction:
         self._server = ActionServer(
             node,
             kind,
-            "~/simulate_steps",
+            name,
             self._finish,
             handle_accepted_callback=self._begin,
             cancel_callback=lambda _: CancelResponse.ACCEPT,

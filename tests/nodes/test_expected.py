@@ -303,9 +303,9 @@ def test_cars_are_chosen_by_numbers_and_ranges() -> None:
     assert [i for i, _ in chosen_cars("2-5", 3)] == [1, 2], "only cars that the train has"
     assert chosen_cars("2 2 3-2", 3) == [(1, ""), (2, "")], "each once, in whatever order"
     assert PARAMETERS["simulator", "imu"].check(5) == "5", "as -p imu:=5 has it"
-    with pytest.raises(ValueError, match="imu must be numbers of cars"):
+    with pytest.raises(ValueError, match="imu must be car numbers"):
         PARAMETERS["simulator", "imu"].check("locomotive")
-    with pytest.raises(ValueError, match="imu must be numbers of cars"):
+    with pytest.raises(ValueError, match="imu must be car numbers"):
         PARAMETERS["simulator", "imu"].check("0")
 
 

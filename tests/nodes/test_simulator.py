@@ -566,7 +566,7 @@ def test_quitting_when_it_is_allowed(tmp_path) -> None:
         ({"state_rate": "often"}, "state_rate must be of type double"),
         ({"record": "/proc/nowhere/bag"}, "nowhere"),
         ({"frame_id": "/map"}, "frame_id must be the name of a frame"),
-        ({"imu": "all:roof"}, "imu must be numbers of cars"),
+        ({"imu": "all:roof"}, "imu must be car numbers"),
         ({"frame_id": "car_7"}, "frame_id must not be a frame of the train"),
         ({"model": "nope", "scenario": ""}, "model must be one of planar"),
     ],

@@ -142,6 +142,8 @@ def test_worlds_are_the_scenarios(made: Graph) -> None:
     assert len(call(made, "GetEntities").entities) == 3
     sources = call(made, "GetAvailableWorlds", additional_sources=["/etc"])
     assert code(sources) == Result.RESULT_FEATURE_UNSUPPORTED
+    sources = call(made, "GetAvailableWorlds", additional_sources=["/etc"], continue_on_error=True)
+    assert code(sources) == Result.RESULT_OK and {w.name for w in sources.worlds} == set(worlds)
 
 
 @pytest.mark.parametrize(
@@ -317,4 +319,21 @@ def test_old_names_are_there_if_they_are_wanted(tmp_path: Path) -> None:
         listed = set(future.result().features.features)
         assert SimulatorFeatures.SIMULATION_STATE_SETTING not in listed
         assert SimulatorFeatures.STEP_SIMULATION_ACTION in listed
+        assert other.ask("load_consist", scenario_yaml=SMALL, start_paused=True).success
+
+
+def test_clients_that_call_at_the_root_find_everything(tmp_path: Path) -> None:
+    """Clients of Isaac Sim and O3DE call `/get_entities`; a panel of RViz looks for types."""
+    with graph(tmp_path) as other:
+        other.simulator(scenario="", standard_namespace="/")
+        names = {snake(name) for name in KINDS}
+
+        def found() -> dict[str, list[str]]:
+            listed = other.node.get_service_names_and_types()
+            return {n: t for n, t in listed if t[0].startswith("simulation_interfaces/")}
+
+        places = {f"/{name}" for name in names}
+        action = {"/simulate_steps/_action/send_goal", "/simulate_steps/_action/get_result"}
+        other.until(lambda: places | action <= set(found()), "all are at the root")
+        assert set(found()) == places | action
         assert other.ask("load_consist", scenario_yaml=SMALL, start_paused=True).success
