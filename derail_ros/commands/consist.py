@@ -17,7 +17,7 @@ def run(
     output: Annotated[Path | None, written("Write the scenario there.", "FILE")] = None,
     as_json: Json = False,
 ) -> int:
-    """Make a scenario from a railway's consist list; tell what is assumed."""
+    """Make a scenario from a railway's consist list; print what was assumed."""
     from derail_ros.scenario.consist_list import read_consist_list
 
     found = read_consist_list(file)

@@ -26,8 +26,12 @@ def run(
         ),
     ] = None,
     settings: Settings = None,
-    speed_mph: Annotated[float | None, typer.Option(min=1.0, max=150.0, help="mph.")] = None,
-    speed_kmh: Annotated[float | None, typer.Option(min=1.0, max=240.0, help="km/h.")] = None,
+    speed_mph: Annotated[
+        float | None, typer.Option(min=1.0, max=150.0, help="Speed, mph.")
+    ] = None,
+    speed_kmh: Annotated[
+        float | None, typer.Option(min=1.0, max=240.0, help="Speed, km/h.")
+    ] = None,
     behind: Annotated[
         int | None,
         typer.Option(min=1, max=1000, help="Cars from the first one that derails to the last."),
@@ -53,7 +57,7 @@ def run(
         typer.Option(min=0, help="Find where in a scenario's train this many tank cars are least "
                      "at risk."),
     ] = 0,
-    draws: Annotated[int, typer.Option("--draws", "-n", min=20, help="Runs.")] = DRAWS,
+    draws: Annotated[int, typer.Option("--draws", "-n", min=20, help="Number of runs.")] = DRAWS,
     seed: Seed = 0,
     jobs: Jobs = None,
     as_json: Json = False,

@@ -24,7 +24,7 @@ WORDS = {
 
 def run(
     evidence: Annotated[Path, typer.Argument(help="YAML file of what is known.")],
-    draws: Annotated[int, typer.Option("--draws", "-n", min=20, help="Runs.")] = 400,
+    draws: Annotated[int, typer.Option("--draws", "-n", min=20, help="Number of runs.")] = 400,
     seed: Seed = 0,
     jobs: Jobs = None,
     as_json: Json = False,

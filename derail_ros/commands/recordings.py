@@ -116,7 +116,7 @@ def write_figures(found: RecordedRun, output: Path) -> list[str]:
 def export(
     bag: Bag,
     output: NewDir,
-    form: Annotated[str, typer.Option("--format", help="csv or parquet.")] = "csv",
+    form: Annotated[str, typer.Option("--format", help="Format: csv or parquet.")] = "csv",
     run: WhichRun = None,
     namespace: Namespace = None,
     geo: Annotated[
@@ -309,7 +309,7 @@ def view3d(
 def export_world(
     bag: Bag,
     output: Annotated[Path, written("File to write.", "FILE")],
-    form: Annotated[str, typer.Option("--format", help="mjcf, sdf or gltf.")] = "mjcf",
+    form: Annotated[str, typer.Option("--format", help="Format: mjcf, sdf or gltf.")] = "mjcf",
     at: Annotated[float | None, typer.Option(help="Time, s; default: the end.")] = None,
     run: WhichRun = None,
     namespace: Namespace = None,
@@ -402,7 +402,7 @@ def repair(
         Path | None, written("New folder for the repaired recording; default: BAG_repaired.")
     ] = None,
 ) -> int:
-    """Write a whole recording from one whose recorder was killed."""
+    """Repair a recording whose recorder was killed."""
     from derail_ros.recording.repair import repair
 
     with bag_errors():

@@ -145,7 +145,7 @@ def describe(e: Event) -> str:
     if e.kind == EventKind.CAR_AT_REST:
         return f"{car} comes to rest"
     if e.kind == EventKind.CAR_ON_SIDE:
-        return f"{car} comes down on its side{how_fast}"
+        return f"{car} falls on its side{how_fast}"
     if e.kind == EventKind.CAR_OVERRIDDEN and len(e.cars) > 1:
         return f"car {e.cars[1]} rides up on {car}{how_fast}"
     if e.kind == EventKind.RUN_ENDED:
