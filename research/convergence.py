@@ -84,10 +84,10 @@ def page(studies: Sequence[Convergence], members: int, seed: int) -> str:
         written_by("convergence"),
         "Each scenario is run as an ensemble at each tolerance, always with the same "
         f"{members} lateral forces (varied by up to {100 * VARIATION:g} %, seed {seed}), and "
-        "compared with the tightest. Single runs cannot converge for long after cars have "
-        f"collided: a member and its twin at another tolerance part (here: by "
-        f"{100 * APART:g} cm). A tighter tolerance only delays that. What converges is the "
-        "distribution.",
+        "compared with the tightest tolerance. Single runs do not converge for long after cars "
+        f"have collided: a member and its twin at another tolerance part (here: by "
+        f"{100 * APART:g} cm), and a tighter tolerance only delays that. The distributions "
+        "converge.",
         picture(FIGURE, "Convergence in tolerance"),
     ]
     for study in studies:
@@ -115,9 +115,9 @@ def page(studies: Sequence[Convergence], members: int, seed: int) -> str:
             "one distribution. Bold: the confidence interval does not contain zero; by chance "
             "this happens once in twenty.",
             _table(study, _difference),
-            f"Median difference of a member from its twin at {tight}; in the last row of two "
-            "different members. Where they are alike, the tolerance is one more way to draw "
-            "from the distribution.",
+            f"Median difference of a member from its twin at {tight}; in the last row, of two "
+            "different members. Where the two are similar, another tolerance amounts to another "
+            "draw from the distribution.",
             Table(twins.heads, [*twins.rows, ["other members", *strangers]]),
         ]
     return document(*parts)

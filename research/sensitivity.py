@@ -83,17 +83,17 @@ def page(study: Sensitivity) -> str:
         "Numbers are the mean change against the default over the cases, in pairs of runs with "
         "the same lateral force, with its standard error. Forces and lengths are compared by the "
         "ratio of geometric means. Bold: more than two standard errors and more than any "
-        "control. The controls are changes that mean nothing. A chaotic outcome changes with "
-        "them too, and a smaller influence cannot be told from chance."
+        "control. The controls are changes without meaning. A chaotic outcome changes with "
+        "them too, so a smaller effect cannot be told from chance."
     )
     if any(d.known and math.isnan(d.error) for e in study.effects for d in e.overall.values()):
-        reading += " Without an error: void runs left some case with a single pair."
+        reading += " No error is given where void runs left a case with a single pair."
     parts: list[str | Table] = [
         "# Sensitivity: what the reconstructed constants do",
         written_by("sensitivity"),
         "The surviving copy of the source lost equations and constants. "
-        "[model.md](model.md#reconstructed-parts) argues what stands in for them; this page "
-        "shows how much each choice matters. Each is changed, one at a time, and these published "
+        "[model.md](model.md#reconstructed-parts) gives the reason for each replacement; this "
+        "page measures how much it matters. One at a time is changed, and these published "
         f"cases are run again as ensembles of {study.members} (lateral force varied by up to "
         f"{100 * VARIATION:g} %, seed {study.seed}): {'; '.join(c.title for c in study.cases)}. "
         f"That is {study.runs} runs.",

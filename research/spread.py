@@ -41,12 +41,12 @@ def page(spreads: Sequence[Spread]) -> str:
     parts: list[str | Table] = [
         "# Spread: how much a single run tells",
         written_by("spread"),
-        "A derailment is chaotic once cars collide. Here scenarios are run many times with "
-        f"nothing changed but the force that starts the motion, by up to {100 * VARIATION:g} %, "
-        "less than the accuracy to which it is known. A single run is one draw from these "
-        "distributions; so is a published run, if the model is right, and so was the accident. "
-        '"Two differ by" is the median difference of two runs taken by chance; beside a '
-        "published value stands the share of runs below it.",
+        "A derailment is chaotic once cars collide. Here scenarios are run many times, and only "
+        f"the force that starts the motion changes, by up to {100 * VARIATION:g} %, which is less "
+        "than its uncertainty. A single run is one draw from these distributions. So are a "
+        "published run and the accident, if the model is right. "
+        '"Two differ by" is the median difference of two random runs. The share beside a '
+        "published value is that of the runs below it.",
     ]
     for s in spreads:
         e = s.ensemble

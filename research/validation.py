@@ -37,7 +37,7 @@ FIGURES = (
 
 ARGUED = (
     'The paragraph "Goals of the validation: why some are missed" of '
-    "[decisions.md](decisions.md#engine) argues why."
+    "[decisions.md](decisions.md#engine) gives the reasons."
 )
 
 
@@ -78,12 +78,13 @@ def pairs_words(results: Sequence[CaseResult]) -> str:
 
 
 def statements_words(validation: Validation) -> str:
-    """How many statements are kept."""
+    """How many statements hold."""
     kept = sum(s.kept for s in validation.statements)
     return (
-        f"The text of the source says more of its runs than its tables. {kept} of "
-        f"{len(validation.statements)} statements are kept. Of sides it says for which cars model "
-        "and accident agree, not on which side they lie, so there is nothing to compare."
+        f"The text of the source also describes its runs. {kept} of "
+        f"{len(validation.statements)} statements hold for the model. Of sides it says only for "
+        "which cars model and accident agree, not on which side they lie, so there is nothing to "
+        "compare."
     )
 
 
@@ -135,8 +136,8 @@ def page(validation: Validation, source: Validation | None = None) -> str:
         "are left out. The source's forces scatter by some 8 % themselves, so bands of forces are "
         "widened by that before they are judged.",
         "## Goals",
-        "The last column is what the scatter of single runs alone would give if the published "
-        "run were one more draw from the ensemble.",
+        "The last column is the value that the scatter of single runs alone would give, if the "
+        "published run were one more draw from the ensemble.",
         goal_table(validation),
         *([f"Missed: {'; '.join(missed)}. {ARGUED}"] if missed else []),
         pairs_words(validation.cases),
@@ -149,9 +150,10 @@ def page(validation: Validation, source: Validation | None = None) -> str:
         drawn, peaks = _doubt_tables(validation)
         parts += [
             "## With the constants in doubt",
-            "Constants and forms of the source are lost too. Here each run of an ensemble draws "
-            "them as well, all at once, uniformly from what is in doubt about them (k2 in its "
-            "logarithm). The draws are the same for every case. What is printed is not drawn.",
+            "Some constants and forms of the source are lost. Here each run of an ensemble draws "
+            "them too, all at once, uniformly from their possible range (k2 in its "
+            "logarithm). The draws are the same for every case. Printed constants are not "
+            "drawn.",
             drawn,
             "Published values in the 90 % band:",
             doubt_table(validation),

@@ -53,7 +53,7 @@ def test_the_page_says_which_statements_are_kept(comparison):
         Statement("b", "another thing", "in half of the runs", "in 2 of 10 runs", False),
     )
     text = page(dataclasses.replace(comparison, statements=said))
-    assert "1 of 2 statements are kept" in " ".join(text.split())
+    assert "1 of 2 statements hold" in " ".join(text.split())
     assert "| another thing | in half of the runs | in 2 of 10 runs | **not kept** |" in text
     assert "in words" not in page(comparison)
 
