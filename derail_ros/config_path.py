@@ -1,4 +1,4 @@
-"""Where the files of ``config/`` are: in the source tree or below an installation's ``share``.
+"""Find the folder ``config/``: in the source tree or below an installation's ``share``.
 
 The same files are found from a clone, an editable installation, a wheel in a virtual environment,
 ``pip install --target`` or ``--user``, and a colcon workspace (also with ``--symlink-install``).

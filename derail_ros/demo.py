@@ -63,7 +63,7 @@ KEYS = (
 
 @dataclass
 class Heard:
-    """What the graph has told so far."""
+    """The messages received so far."""
 
     time: float = 0.0
     derailed: int = 0
@@ -255,7 +255,7 @@ def listening(heard: Heard, page: Page, env: dict[str, str]) -> Iterator[Any]:
 
 
 def picture(heard: Heard, began: float) -> Any:
-    """What is shown while the run goes on."""
+    """The screen during the run."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

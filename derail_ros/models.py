@@ -1,4 +1,4 @@
-"""Engines by the name of their model: ``model:`` in a scenario, ``--model`` on a command line."""
+"""Engines by the name of their model (``model:`` in a scenario, ``--model`` on a command line)."""
 
 from __future__ import annotations
 

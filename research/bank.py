@@ -1,4 +1,4 @@
-"""A bank of runs of the trains of reports, each with its own draw of the uncertain constants.
+"""A bank of runs of reported trains, each with its own draw of the uncertain constants.
 
 ``python -m research bank FILES --results FOLDER -n RUNS`` adds runs until there are as many.
 It can be ended and begun again, and several processes may work in one folder: each takes the

@@ -1,4 +1,4 @@
-"""A headless browser: what the replay page looks like and does in one."""
+"""A headless browser, for the replay page."""
 
 from __future__ import annotations
 

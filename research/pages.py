@@ -1,4 +1,4 @@
-"""What the pages share: their options, folders, paragraphs, and results between marks."""
+"""Shared by the pages: options, folders, paragraphs, and results between marks."""
 
 from __future__ import annotations
 

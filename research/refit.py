@@ -1,4 +1,4 @@
-"""Fit what is reconstructed to all published runs at once: ``python -m research.refit``.
+"""Fits the reconstructed constants to all published runs: ``python -m research.refit``.
 
 Fitted are the brake force F0, the speed below which a car stands, and the two readings of the
 brake tests that are limited by traction. Everything else is printed in the source, or is left as

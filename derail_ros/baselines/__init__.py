@@ -1,1 +1,1 @@
-"""Simpler models that came before, kept beside the main one for comparison."""
+"""Earlier, simpler models, for comparison with the main one."""

@@ -100,7 +100,7 @@ O_FREE_T, O_FREE_V, O_HIT_V, O_HIT_OTHER, O_HIT_T, N_O = range(6)
 
 
 class Springs(NamedTuple):
-    """What the model has beside the engine's arrays."""
+    """State of the model beside the engine's arrays."""
 
     own: F64  # its constants, see OWN
     linked: U8  # (N-1,) springs that hold
@@ -624,7 +624,7 @@ class AndersonModel:
         return self.outcome()
 
     def outcome(self) -> Outcome:
-        """What came of the run so far.
+        """Result of the run so far.
 
         ``car_values``: ``approach_speed_m_per_s``, the largest speed of approach in a collision
         (the model computes no forces); ``approach_car``, the car

@@ -1,4 +1,4 @@
-r"""Gracie 1991: inertia as pseudo-static forces, and why it was given up.
+r"""Gracie 1991: inertia as pseudo-static forces, and why this is unstable.
 
 Each increment of time the cars take the positions at which static forces balance, with inertia
 among them as a force. Its accelerations are differences of the positions that are known:

@@ -49,7 +49,7 @@ WHOLE_TRAIN = "whole train derailed"
 
 @dataclass(frozen=True)
 class ModelRun:
-    """What a model made of a train."""
+    """Result of a model for a train."""
 
     model: str
     record: Record  # keys as of ``outcome_record``

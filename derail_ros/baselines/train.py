@@ -1,4 +1,4 @@
-"""The train as the simple models see it: what runs over the point of derailment, and its brakes.
+"""The train of the simple models: the cars that pass the point of derailment, and its brakes.
 
 They all begin where the first car derails: cars ahead of it are not involved, the lumped cars of
 a virtual body are taken apart again.
@@ -99,7 +99,7 @@ def is_straight(params: TrainParams) -> bool:
 
 
 def derailing_train(params: TrainParams) -> Train:
-    """Find the first car to derail and what follows it.
+    """Find the first car to derail and the cars behind it.
 
     The first one of those derailed from the start, else the first car behind the rail break that
     is met soonest. Without a break the point of derailment lies under the front truck of the first

@@ -1,4 +1,4 @@
-"""What the commands share: errors, output, progress."""
+"""Shared by the commands: errors, output, progress."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CommandFailure(Exception):
 
 
 def err() -> Console:
-    """Console for everything that is not the answer."""
+    """Console for messages beside the answer."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)

@@ -1,4 +1,4 @@
-"""``derail predict``: how many cars, and how sure."""
+"""``derail predict``: the number of derailed cars, with bands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``derail reconstruct``: what must have been, from what is known of an accident."""
+"""``derail reconstruct``: speed, brakes and ground from what is known of an accident."""
 
 from __future__ import annotations
 

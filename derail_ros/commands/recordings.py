@@ -1,4 +1,4 @@
-"""What ``derail`` does with recordings: review, export, compare, animate, play, repair, replay."""
+"""Commands on recordings: review, export, compare, animate, play, repair, replay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def read(path: str | Path, run: str | None = None, namespace: str | None = None) -> RecordedRun:
-    """Read a recording; what is wrong with it goes to stderr.
+    """Read a recording; warnings about it go to stderr.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read(path: str | Path, run: str | None = None, namespace: str | None = None)
 
 @contextmanager
 def bag_errors() -> Iterator[None]:
-    """Turn what is wrong with a recording or a disk into a line for the user."""
+    """Report an error of a recording or a disk in one line."""
     from derail_ros.recording.storage import BagError
 
     try:

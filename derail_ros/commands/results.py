@@ -1,4 +1,4 @@
-"""What ``derail simulate`` reports of any model: JSON, tables, files."""
+"""The report of ``derail simulate`` for any model: JSON, tables, files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``derail study``: run a study, show what it says, write its page."""
+"""``derail study``: run a study, show its findings, write its page."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run(
     ] = False,
     as_json: Json = False,
 ) -> int:
-    """Run a study, or what is missing of it, and say what it shows.
+    """Run a study, or its missing runs, and print the findings.
 
     After an interruption the same command goes on from the runs that are finished.
     """

@@ -1,1 +1,1 @@
-"""A run as it goes, on a page served to a browser: ``derail look``, and beside ``make run``."""
+"""The page of a live run, for ``derail look`` and ``make run``."""

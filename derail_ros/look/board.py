@@ -1,4 +1,4 @@
-"""What a page of a live run shows: written by whoever advances the run, read by its clients."""
+"""State shown by the page of a live run: the run writes it, clients read it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Refused(ValueError):
 
 
 class Board:
-    """The present state of a run, and what has happened in it.
+    """The present state and the events of a run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A run in this process, advanced in step with the clock: what ``derail look`` shows."""
+"""The run of ``derail look``: in this process, in step with the clock."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ WHOLE_RAIL = {
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to run: a scenario's name or file, and what of it is changed.
+    """The requested run: a scenario's name or file, and its changes.
 
     ``whole`` leaves out the rail breaks of the scenario; ``speed_kmh`` is nan for its own speed.
     """

@@ -1,4 +1,4 @@
-"""ROS 2 nodes: thin ones, over modules that know no ROS and hold no physics."""
+"""ROS 2 nodes: thin layers over modules without ROS and without physics."""
 
 import os
 import signal

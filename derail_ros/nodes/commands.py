@@ -32,7 +32,7 @@ class Refusal(ValueError):
 
 @dataclass(frozen=True)
 class Request:
-    """What a client has asked: command, fields of the request, name of the caller."""
+    """A request of a client: command, fields, name of the caller."""
 
     command: str
     fields: Mapping[str, Any]
@@ -41,7 +41,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a request: applied at simulation time ``stamp`` (ns), after so many steps.
+    """Answer to a request: applied at simulation time ``stamp`` (ns), after ``step`` steps.
 
     ``value`` is a number that belongs to the answer: the coordinate of a break (m).
     """

@@ -1,4 +1,4 @@
-"""What ``/diagnostics`` says of a simulator."""
+"""The content of ``/diagnostics`` for a simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A ROS domain for a graph that is to hear nobody else."""
+"""A ROS domain that no other graph uses."""
 
 from __future__ import annotations
 

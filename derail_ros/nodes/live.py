@@ -1,4 +1,4 @@
-"""What a simulator sends beside the messages of its recordings: frames, joints, sensors, maps."""
+"""Messages of a simulator that are not in its recordings: frames, joints, sensors, maps."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class LiveMessages:
                     yield rate, sensors.PipePressure(car, *common, self._reached)
 
     def begin(self) -> Messages:
-        """What is latched: the train's description, frames that do not move, the place."""
+        """Latched messages: the train's description, static frames, the place."""
         params, prefix = self._simulation.params, self._settings.prefix
         messages = [("robot_description", describe(self._prepared, self._settings))]
         if self._settings.publish_tf:
@@ -195,7 +195,7 @@ class LiveMessages:
         return [*messages, (ON_MAP.name, place)]
 
     def end(self) -> Messages:
-        """What is latched when the run has ended: the map with the cars."""
+        """Latched messages at the end of the run: the map with the cars."""
         return [] if self._on_map is None else [(ON_MAP.name, self._on_map.message(ended=True))]
 
     def tick(self, sample: Sample) -> Messages:

@@ -19,7 +19,7 @@ MAX_YAML = 512 * 1024
 
 @functools.cache
 def warm_up(model: str) -> None:
-    """Do what a model's engine does once a process: compile or load kernels."""
+    """Prepare a model's engine, once a process: compile or load kernels."""
     models.engine(model).warm_up()
 
 

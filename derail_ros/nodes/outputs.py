@@ -1,4 +1,4 @@
-"""Publishers of a node. Messages are bytes; latched topics begin anew when they are told to."""
+"""Publishers of a node. Messages are bytes; latched topics can get a new publisher."""
 
 from __future__ import annotations
 

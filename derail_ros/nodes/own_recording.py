@@ -12,7 +12,7 @@ from derail_ros.recording.session import Session
 
 
 class OwnRecording:
-    """A recording without loss. A run goes on if its recording fails; ``error`` says why.
+    """A recording without loss. If it fails, the run continues; ``error`` gives the reason.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class OwnRecording:
             runs.append(entry)
 
     def restart(self, session: Session) -> None:
-        """Simulation time begins anew: close this recording and begin another."""
+        """Simulation time restarts: close this recording and begin another."""
         if self._recorder is None:
             return
         self.close(session)

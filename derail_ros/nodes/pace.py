@@ -61,11 +61,11 @@ class Pace:
         self.tick_length, self._left = tick_length, math.inf
 
     def pause(self) -> None:
-        """Stop playing: the present tick keeps what is left of it."""
+        """Stop playing; the rest of the present tick is kept."""
         self._left = max(self.tick - self.wall(), 0.0)
 
     def play(self) -> None:
-        """Begin to play: the next tick is due in a period, or what was left of it."""
+        """Start playing; the next tick is due after a period, or after the rest of one."""
         self.changed = self.wall()
         self.tick = self.changed + min(self.period, self._left)
         self._left = math.inf

@@ -383,7 +383,7 @@ class Settings:
 
     @property
     def prefix(self) -> str:
-        """What the names of the frames of the train begin with."""
+        """Prefix of the names of the train's frames."""
         if self.frame_prefix != NAMESPACE:
             return str(self.frame_prefix)
         return f"{self.namespace.strip('/')}/".lstrip("/")

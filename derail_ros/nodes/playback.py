@@ -1,4 +1,4 @@
-"""What the node ``player`` does with a recording and the time; no ROS in here."""
+"""Playback of a recording for the node ``player``, without ROS."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ class Playback:
     # --- playing -----------------------------------------------------------------------------
 
     def work(self) -> float:
-        """Publish what is due; returns the wall time until which nothing else is."""
+        """Publish what is due; return the wall time of the next message."""
         began = self._wall()
         if self.paused:
             return began + IDLE

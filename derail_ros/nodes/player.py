@@ -1,4 +1,4 @@
-"""The node ``player`` as an executable; what it does is in ``player_node.py``."""
+"""Executable of the node ``player``; its program is in ``player_node.py``."""
 
 import sys
 

@@ -120,7 +120,7 @@ class Player(Program):
         return max(states or counts.values(), default=0)
 
     def start(self, stop: Stop) -> None:
-        """Say what is played."""
+        """Log what is played."""
         at, played = self.playback.base.time, self.playback
         first, last = (at(t) / NANOSECONDS for t in (played.start, played.end))
         self.log.info(
@@ -130,7 +130,7 @@ class Player(Program):
     # --- the loop ----------------------------------------------------------------------------
 
     def work(self) -> float:
-        """Do what is due; returns the wall time until which nothing else is."""
+        """Do the work that is due; return the wall time of the next work."""
         self._guard.look()
         busy = self.outputs.pump()
         now = time.monotonic()

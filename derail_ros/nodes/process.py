@@ -118,11 +118,11 @@ class Program(ABC):
 
     @abstractmethod
     def start(self, stop: Stop) -> None:
-        """Do what is left of the start; the node is on the graph."""
+        """Finish the start; the node is on the graph."""
 
     @abstractmethod
     def work(self) -> float:
-        """Do what is due; returns the wall time (s) until which nothing else is."""
+        """Do the work that is due; return the wall time (s) of the next work."""
 
     def wait(self, executor: Any, due: float) -> None:
         """Serve requests and messages until something is due (wall time, s)."""
@@ -131,7 +131,7 @@ class Program(ABC):
     @property
     @abstractmethod
     def exit_code(self) -> int | None:
-        """Exit code when the node is to end by itself, None while it goes on."""
+        """Exit code if the node should end by itself, else None."""
 
     @abstractmethod
     def close(self) -> None:

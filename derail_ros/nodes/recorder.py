@@ -1,4 +1,4 @@
-"""The node ``recorder`` as an executable; what it does is in ``recorder_node.py``."""
+"""Executable of the node ``recorder``; its program is in ``recorder_node.py``."""
 
 import sys
 

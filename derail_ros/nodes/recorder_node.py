@@ -128,7 +128,7 @@ class Recorder(Program):
                 self._subscribe(name, **wanted)
 
     def start(self, stop: Stop) -> None:
-        """Say what is recorded."""
+        """Log what is recorded."""
         self.log.info(f"recording {len(self._subscriptions)} topics to {self._path}")
 
     def work(self) -> float:

@@ -1,4 +1,4 @@
-"""Services whose answers take a while, and a cheap way to wait for requests."""
+"""Services with late answers, and a cheap way to wait for requests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Removes what killed processes have left in shared memory."""
+"""Removes the shared memory of killed processes."""
 
 from __future__ import annotations
 

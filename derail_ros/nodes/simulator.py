@@ -1,4 +1,4 @@
-"""The node ``simulator`` as an executable; what it does is in ``simulator_node.py``."""
+"""Executable of the node ``simulator``; its program is in ``simulator_node.py``."""
 
 import sys
 

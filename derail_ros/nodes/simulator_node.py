@@ -131,7 +131,7 @@ class Simulator(Program):
     # --- the loop ----------------------------------------------------------------------------
 
     def work(self) -> float:
-        """Do what is due; returns the wall time until which nothing else is."""
+        """Do the work that is due; return the wall time of the next work."""
         now = time.monotonic()
         if now >= self._look:
             self._look = now + LOOK_EVERY

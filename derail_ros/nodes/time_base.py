@@ -1,4 +1,4 @@
-"""The time of a recording: that of its messages, whatever the times of its log are.
+"""The time of a recording, from its messages, not from its log.
 
 ``ros2 bag record`` logs the wall time at which a message came; the messages bear simulation time.
 A player that sent `/clock` from the log and messages as they are would give its listeners two

@@ -1,1 +1,1 @@
-"""How many cars, how sure: predictions of accidents, and what they are learned from."""
+"""Predictions of accidents with bands, and how they are learned."""

@@ -1,4 +1,4 @@
-"""A regression in the place of the engine, for where a thousand runs are too many.
+"""A regression that replaces the engine where a thousand runs are too many.
 
 The logarithm of a pile's count is quadratic in features of train and constants; what is left
 is the chaos of single runs, normal. Fitted to a bank of runs (``research.bank``).

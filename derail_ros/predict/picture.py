@@ -94,7 +94,7 @@ QUANTITIES = {
 
 @styled
 def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Figure:
-    """What is inferred, before and after, and the likeliest scenes beside the evidence."""
+    """The inferred quantities, before and after, and the likeliest scenes beside the evidence."""
     known = found.evidence.known
     length, width = (known.get(f"scene_{k}_m", (np.nan, 0.0))[0] for k in ("length", "width"))
     windows = [drawing.window_of(s.corners()[s.derailed & s.real], 5.0) for s in scenes]

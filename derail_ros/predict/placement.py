@@ -1,4 +1,4 @@
-"""Where in a train hazardous cars are least at risk: the thesis' own motive.
+"""Where in a train hazardous cars are least at risk.
 
 Any car may be the first one involved, each as likely. From it on the train runs with drawn
 constants over a broken rail. A run gives for each place in the train whether the car there
@@ -52,7 +52,7 @@ class Placement:
         return [self.free[i : i + n] for i in range(len(self.free) - n + 1)]
 
     def of(self, cars: Sequence[int]) -> dict[str, Any]:
-        """What an arrangement comes to: cars derailed and released, with bands over accidents."""
+        """Result of an arrangement: cars derailed and released, with bands over accidents."""
         at = np.array(cars) - 1
         p = self.releases[:, at]
         rng = np.random.default_rng(0)

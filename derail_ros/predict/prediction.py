@@ -1,4 +1,4 @@
-"""A prediction: how many cars derail, how sure, beside what statistics alone say."""
+"""A prediction: the number of derailed cars with bands, beside statistical models."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BANDS = {"q05": 0.05, "q25": 0.25, "q50": 0.5, "q75": 0.75, "q95": 0.95}
 
 
 def train_of(params: TrainParams) -> Train:
-    """What a report would tell of the train of a scenario, from its first car involved on."""
+    """A scenario's train as a report describes it, from the first car involved on."""
     cars = params.cars[first_car(params) - 1 :]
     n = sum(c.represents for c in cars)
     loads, empties = sum(c.loads for c in cars), sum(c.empties for c in cars)
@@ -56,7 +56,7 @@ def of_distribution(p: F64) -> dict[str, float | None]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is predicted of an accident.
+    """The prediction of an accident.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What must have been: speed, brakes and ground of an accident from what is known of it.
+"""Speed, brakes and ground of an accident from what is known of it.
 
 Approximate Bayesian computation. Runs are drawn from the prior: a speed, and the calibrated
 constants. Each has the weight of the evidence, ``exp(-sum((o - e)^2 / s^2) / 2)`` over the known
@@ -164,7 +164,7 @@ def quantile(values: F64, w: F64, level: float) -> float:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Runs, their weights, and what they say."""
+    """Runs, their weights, and the inferred quantities."""
 
     evidence: Evidence
     members: Sequence[Member]
@@ -175,7 +175,7 @@ class Reconstruction:
     even: float  # p of the test that ranks of simulation-based calibration are even
 
     def quantities(self) -> dict[str, F64]:
-        """What is inferred, by name: values of all runs."""
+        """Inferred quantities by name: values of all runs."""
         draws = [m.draw for m in self.members]
         return {
             "speed_kmh": self.speeds,
@@ -230,7 +230,7 @@ def reconstruct(
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Infer what is not known of an accident."""
+    """Infer the unknown quantities of an accident."""
     from scipy.stats import kstest
 
     rng = np.random.default_rng([seed, draws])

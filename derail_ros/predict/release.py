@@ -1,4 +1,4 @@
-"""Whether a struck tank car releases: from impact tests alone, by three rules.
+"""Whether a struck tank car releases: three rules from impact tests.
 
 Each is a probability ``P = Phi(ln(x / x50) / s)`` whose median and spread are set by tests, not by
 accident reports. The 5 and 95 % points of a single shell are

@@ -1,4 +1,4 @@
-"""Runs of one train with drawn constants, and what is kept of each."""
+"""Runs of one train with drawn constants, and the values kept of each."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Drawable(Protocol):
 
 @dataclass(frozen=True)
 class Member:
-    """What is drawn of a run."""
+    """The draw of a run."""
 
     draw: Draw
     few: int  # cars off at the start; 0: a pile

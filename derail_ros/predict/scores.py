@@ -56,7 +56,7 @@ class Scores:
 
     @classmethod
     def of(cls, predicted: Sequence[F64], reported: Sequence[int], seed: int = 0) -> Scores:
-        """Score distributions against what was reported."""
+        """Score distributions against the reports."""
         y = np.array(reported, dtype=float)
         pit = pits(predicted, reported, seed)
         means = np.array([mean(p) for p in predicted])

@@ -1,4 +1,4 @@
-"""A train of which no more is known than a report tells, as a run of the engine."""
+"""The train of an accident report as a run of the engine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SPARE = 10
 
 @dataclass(frozen=True)
 class Train:
-    """What a report tells of a train, from the first car involved on.
+    """A train as a report describes it, from the first car involved on.
 
     Attributes
     ----------

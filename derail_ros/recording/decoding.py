@@ -1,4 +1,4 @@
-"""Messages of a recording as objects, whichever version of the interface they are of."""
+"""Messages of a recording as objects, for each version of the interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be worked out from the rest of a recording where a part of it is missing."""
+"""Derives missing parts of a recording from the rest of it."""
 
 from __future__ import annotations
 

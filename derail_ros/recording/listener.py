@@ -1,4 +1,4 @@
-"""What the ``recorder`` node does with the messages it receives; no ROS in here.
+"""How the node ``recorder`` handles the messages it receives, without ROS.
 
 A subscriber can miss messages, unlike the simulator's own recording. The listener counts what it
 missed in two ways: by the sequence numbers that the middleware gives to the messages of each

@@ -1,4 +1,4 @@
-"""Where a recording comes from: enough to repeat its runs to the bit.
+"""The origin of a recording: enough to repeat its runs to the bit.
 
 A manifest lies beside the recording (``manifest.json`` in the bag's folder), in its metadata
 (custom data ``derail_ros_manifest``) and in it, as the last message of the latched topic

@@ -32,7 +32,7 @@ LARGEST_RECORD = 1 << 29
 
 @dataclass
 class Index:
-    """What the index of a file says."""
+    """The content of a file's index."""
 
     # by their numbers in the file, as are the channels
     schemas: dict[int, parts.Schema] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Which messages can be true.
+"""Checks whether messages are plausible.
 
 Damage, or another program, can leave a message that decodes. A message with numbers that no train
 has, or with lists of different lengths, is left out like one that cannot be decoded.

@@ -1,4 +1,4 @@
-"""Damaged recordings written anew, with all messages that can still be read."""
+"""Repairs recordings: writes all messages that can still be read."""
 
 from __future__ import annotations
 

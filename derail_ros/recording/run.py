@@ -1,4 +1,4 @@
-"""A run from beginning to end into a recording, without ROS."""
+"""Records a run from beginning to end, without ROS."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class Series:
 
 @dataclass
 class RunMessages:
-    """What the messages of one run say."""
+    """The messages of one run."""
 
     consist: Any = None  # ``derail_msgs/Consist``
     line: SampledLine | None = None  # the track

@@ -116,13 +116,13 @@ class Live(Protocol):
     due: float
 
     def begin(self) -> list[tuple[str, bytes]]:
-        """Topic name and CDR bytes of what is latched at the start of the run."""
+        """Topic name and CDR bytes of the latched messages at the start of the run."""
 
     def tick(self, sample: Sample) -> list[tuple[str, bytes]]:
         """Topic name and CDR bytes of the messages of a tick."""
 
     def end(self) -> list[tuple[str, bytes]]:
-        """The same of what is latched when the run has ended."""
+        """The same for the end of the run."""
 
     def measure(self, sample: Sample) -> list[tuple[str, bytes]]:
         """The same of the sensors that measure at ``due``, which moves on."""
@@ -222,7 +222,7 @@ class Session:
         self._emit(topic, stamp, data)
 
     def begin(self) -> None:
-        """Publish what is known at the start: train, track, first events and state."""
+        """Publish the messages of the start: train, track, first events and state."""
         params, context, prepared = self.params, self.context, self.prepared
         self._publish(
             "consist",
@@ -451,7 +451,7 @@ class Session:
         self.finished = True
 
     def stop(self) -> None:
-        """End a run that something else takes the place of, even if it never left its start."""
+        """End a run that is replaced, even if it never left its start."""
         if self.finished or not self.announced:
             return
         self._publish_until(self.time)
@@ -493,7 +493,7 @@ class Session:
         return "stopped" if self.stopped else str(self.simulation.status)
 
     def entry(self) -> RunEntry:
-        """What a manifest says of this run."""
+        """The entry of this run in a manifest."""
         simulation = self.simulation
         outcome = dataclasses.replace(simulation.outcome(), status=self.status)
         return RunEntry(

@@ -1,1 +1,1 @@
-"""Pictures and measures made of finished runs; needs no ROS."""
+"""Pictures and summaries of finished runs, without ROS."""

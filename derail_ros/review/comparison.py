@@ -72,7 +72,7 @@ def _pairs(run: RecordedRun) -> dict[tuple[int, int], float]:
 
 
 def compare(a: RecordedRun, b: RecordedRun) -> dict[str, Any]:
-    """What is different between two runs, as plain data."""
+    """Differences between two runs, as plain data."""
     ma, mb = measures(a), measures(b)
     ea, eb = _happened(a), _happened(b)
     shared = [(ea[k], eb[k]) for k in ea if k in eb]
@@ -169,7 +169,7 @@ def settings(a: Any, b: Any, path: str = "") -> list[dict[str, Any]]:
 
 
 def text(facts: dict[str, Any], most: int = 12) -> str:
-    """What is different, for people."""
+    """Differences as text."""
     first, second = facts["first"], facts["second"]
     lines = [f"A  {first['title']}: {first['outcome']}", f"   {first['path']}"]
     lines += [f"B  {second['title']}: {second['outcome']}", f"   {second['path']}", ""]

@@ -1,4 +1,4 @@
-"""What all figures share: style, colours, sheets, and how a train and its track are drawn.
+"""Shared by all figures: style, colours, sheets, and drawing of a train and its track.
 
 Figures are matplotlib ``Figure`` objects; pyplot, its global state and displays are not touched.
 Colours are from Okabe and Ito's palette. No figure relies on colour alone: states of cars also

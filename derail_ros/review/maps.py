@@ -1,4 +1,4 @@
-"""A run on the map: GeoJSON and KML of footprints, paths, the place, and what may be covered.
+"""A run on the map: GeoJSON and KML of footprints, paths, the place, and covered ground.
 
 Coordinates are longitude and latitude by ``site.datum``, or without one x and y of the frame of
 the track in metres, which the member ``reference_system`` then says.

@@ -211,7 +211,7 @@ KMH = (20, 40, 60, 80, 100, 120)
 
 @styled
 def speeds(run: RecordedRun) -> Figure:
-    """Draw the speed of each car over time, with what happened to it."""
+    """Draw the speed of each car over time, with its events."""
     active = _active(run)
     calm = [i for i in range(run.n) if i not in active]
     notes = []

@@ -1,4 +1,4 @@
-"""A scene: all that a picture of a train at one moment needs, as plain arrays.
+"""A scene: the data for a picture of a train at one moment, as plain arrays.
 
 It is made from a simulation, or from a recorded run.
 """

@@ -46,7 +46,7 @@ def _ledger(run: RecordedRun) -> Mapping[str, float]:
 
 
 def car_findings(run: RecordedRun) -> list[dict[str, Any]]:
-    """What came of each car: where and when it derailed, parted, was struck, came to rest."""
+    """Findings for each car: where and when it derailed, parted, was struck, came to rest."""
     cars, outcome, end = run.cars, run.outcome, run.plane[-1]
     rows: list[dict[str, Any]] = [
         {
@@ -260,7 +260,7 @@ def findings(run: RecordedRun) -> dict[str, Any]:
 
 
 def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
-    """What happened in a run, for people: about a page for each part."""
+    """What happened in a run, as text."""
     facts = findings(run) if facts is None else facts
     lines: list[str] = [run.title, "=" * len(run.title), ""]
     for sentence in headline(run):

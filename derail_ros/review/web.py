@@ -1,4 +1,4 @@
-"""Pages of one file: a template with its style, its script and a policy that allows just these.
+"""Pages of one file: a template with style, script, and a policy that allows only these.
 
 Strings of runs reach a page escaped (:func:`script_json`), and its script sets them as text only.
 """
@@ -71,7 +71,7 @@ def script_json(value: Any) -> str:
 
 
 def car_data(cars: Cars) -> list[dict[str, Any]]:
-    """What the script draws of each car."""
+    """Data of each car for the script."""
     return [
         {
             "name": cars.name[i],
@@ -107,7 +107,7 @@ def track_data(line: SampledLine, low: float, high: float) -> dict[str, Any]:
 
 
 def place_data(shapes: Iterable[Shape]) -> list[dict[str, Any]]:
-    """What stands beside the track."""
+    """Data of the place for the script."""
     return [
         {
             "role": shape.role,

@@ -83,7 +83,7 @@ class Few:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """The shipped set: draws from the posterior, and where it is from.
+    """The shipped set: draws from the posterior, and their origin.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Calibrated:
         return self._at(order[at])
 
     def central(self) -> Draw:
-        """The draw nearest to the middle of all: the run of a scenario by itself."""
+        """The draw nearest to the middle of all, used for a single run."""
         columns = [sorted(c) for c in zip(*self.draws)]
         middle = [c[len(c) // 2] for c in columns]
         size = [max(c[len(c) * 3 // 4] - c[len(c) // 4], 1e-9) for c in columns]
@@ -123,7 +123,7 @@ class Calibrated:
         return Draw(**dict(zip(NAMES, self.draws[i], strict=True)))
 
     def warning(self, engine: str) -> str:
-        """What to know where the engine is another than the one the set was learned with."""
+        """A warning if the engine is not the one that learned the set."""
         known = {self.provenance["engine"], *self.provenance.get("checked", ())}
         if engine in known:
             return ""

@@ -1,4 +1,4 @@
-"""Which set of constants a scenario has, and what the calibrated one puts in what is left open."""
+"""The set of constants of a scenario, and how the calibrated one fills open fields."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def left_open(model: ScenarioModel) -> tuple[str, ...]:
-    """What of :data:`FIELDS` a scenario does not say itself."""
+    """The :data:`FIELDS` that a scenario does not give."""
     names = []
     for name, (section, keys) in FIELDS.items():
         waits = model.initiation.await_command and name in ("brake_delay", "push")
@@ -46,7 +46,7 @@ def reach(resolved: Resolved) -> float:
 
 
 def values_of(resolved: Resolved, names: tuple[str, ...], draw: Draw) -> dict[str, dict[str, Any]]:
-    """What a draw puts in the fields of ``names``: section -> field -> value."""
+    """Values of a draw for the fields of ``names``: section -> field -> value."""
     model = resolved.model
     speed = max(model.train.speed_kmh * KMH, 0.1)
     begin = reach(resolved)

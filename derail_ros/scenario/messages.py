@@ -1,4 +1,4 @@
-"""One clear sentence out of pydantic's list of errors."""
+"""One clear sentence from pydantic's list of errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LIMITS = {
 
 
 def first_mistake(error: ValidationError, model: type[BaseModel]) -> Refusal:
-    """The mistake to tell first: a misspelt key explains a missing one, not the reverse."""
+    """The mistake to report: a misspelt key explains a missing one, not the reverse."""
     errors = error.errors(include_url=False, include_context=True)
     order = {"extra_forbidden": 0, "missing": 2}
     chosen = min(errors, key=lambda e: order.get(e["type"], 1))

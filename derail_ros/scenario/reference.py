@@ -1,4 +1,4 @@
-"""The format described from its models: JSON schema, and the tables of ``docs/scenarios.md``.
+"""The JSON schema of the format, and the tables of ``docs/scenarios.md``.
 
 ``python -m derail_ros.scenario.reference docs/scenarios.md`` brings the page up to date.
 """
@@ -154,7 +154,7 @@ GENERATED = {
 
 
 def fill(page: str) -> str:
-    """A page with everything between its markers made anew."""
+    """The page with the content between its markers renewed."""
     for name, make in GENERATED.items():
         begin, end = BEGIN.format(name), END.format(name)
         before, found, rest = page.partition(begin)

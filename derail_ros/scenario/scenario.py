@@ -347,7 +347,7 @@ def _not_a_scenario(path: FilePath) -> str:
 
 
 def load_scenario_by_name(name: str, dirs: Dirs = None) -> Scenario:
-    """Load a scenario by its name alone; whatever the name is, it is never opened as a path."""
+    """Load a scenario by its name; the name is never opened as a path."""
     folders = files.search_dirs(dirs)
     path = files.find(name, folders)
     if path is None:

@@ -1,4 +1,4 @@
-"""The scenario format, version 1: what may stand in a file, in which unit, with which default.
+"""The scenario format, version 1: fields, units, defaults and limits.
 
 The models check one field at a time; what takes several fields to judge is in ``resolve.py``.
 Key names carry their unit. Defaults come from the engine's parameter classes, so that the two

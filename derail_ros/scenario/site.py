@@ -1,4 +1,4 @@
-"""The place of a scenario: its outlines checked, read from GeoJSON, and as the engine takes them.
+"""The place of a scenario: reads GeoJSON, checks outlines, and prepares them for the engine.
 
 A GeoJSON file (RFC 7946) lies beside the scenario; its features become entries of ``site`` when
 the scenario is read, so that a resolved scenario needs no file. Longitude and latitude go to the

@@ -1,4 +1,4 @@
-"""YAML without its traps: plain data, and the line of every key and item.
+"""A strict YAML reader: plain data, and the line of every key and item.
 
 A scenario may come from a stranger (a ROS service takes its text), so the reader works on the
 parser's events and refuses what a description of a train does not need: anchors and aliases (and

@@ -1,4 +1,4 @@
-"""Uncertain fields of a scenario: what each member of an ensemble draws for them.
+"""Uncertain fields of a scenario: the draws of each member of an ensemble.
 
 A draw depends on the seed, the member and the path alone. It is the same for any number of
 members or other uncertain fields. The outer 0.01 % of a distribution are cut off at each end:

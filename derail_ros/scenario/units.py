@@ -48,7 +48,7 @@ CURVES = {
 
 
 def radius_of(degree: float) -> float:
-    """Radius (m) of a curve of so many degrees, by 100 feet of arc: ``1746.4 / D``."""
+    """Radius (m) of a curve of ``D`` degrees, by 100 feet of arc: ``1746.4 / D``."""
     return 100.0 * FOOT * 180.0 / (math.pi * degree)
 
 

@@ -78,7 +78,7 @@ BREAK, LATERAL, LIFTED, TIPPED, ANGLE, KNUCKLE, COUPLER_BODY, SLIP = range(8)
 
 
 class Space(NamedTuple):
-    """What the third dimension adds to a run. MuJoCo's own arrays first, then the state."""
+    """State that the third dimension adds to a run. MuJoCo's own arrays first, then the state."""
 
     qpos: F64
     qvel: F64

@@ -1,4 +1,4 @@
-"""A run in three dimensions: MuJoCo moves the cars, all else is the planar run's.
+"""A run in three dimensions: MuJoCo moves the cars; the rest is the planar run's.
 
 Parameters, commands, brakes, events and records are those of :class:`PlanarSimulation`; its state
 holds the train seen from above (``kernels.look``).
@@ -358,7 +358,7 @@ class SpatialSimulation(PlanarSimulation):
         return entries
 
     def outcome(self) -> Outcome:
-        """What has come of the run so far."""
+        """Result of the run so far."""
         return make_outcome(self, super().outcome(), self._space, self._bodies, self.ledger())
 
     @property

@@ -1,1 +1,1 @@
-"""Many runs: ensembles, validation and the measures taken of them; needs no ROS."""
+"""Many runs: ensembles, studies, validation and their statistics, without ROS."""

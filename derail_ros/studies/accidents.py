@@ -1,4 +1,4 @@
-"""Reported accidents: freight trains that derailed on a main track, and how many cars of them.
+"""Reported accidents: derailed freight trains on main track, and their numbers of derailed cars.
 
 The United States' Federal Railroad Administration (FRA) has every accident above a threshold of
 damage reported (form F 6180.54) and publishes the reports, a table a year. Of a derailed train

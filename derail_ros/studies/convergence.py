@@ -53,7 +53,7 @@ Z95 = 1.959964
 
 @dataclass(frozen=True)
 class Trace:
-    """What is kept of a run."""
+    """The trace kept of a run."""
 
     path: F64  # (T, N, 2) mass centres every :data:`INTERVAL`, m
     outcome: Outcome
@@ -160,7 +160,7 @@ class Convergence:
 
     @property
     def tightest(self) -> Tolerance:
-        """What the others are compared with."""
+        """The level with which the others are compared."""
         return self.tolerances[-1]
 
     @property
@@ -272,7 +272,7 @@ def _tolerance(
 
 
 def median_time(times: Sequence[float]) -> str:
-    """Median of times of which some may be infinite (never)."""
+    """Median of times; infinite means never."""
     middle = float(np.median(times)) if np.isfinite(times).any() else math.inf
     return f"{middle:.1f}" if math.isfinite(middle) else "never"
 

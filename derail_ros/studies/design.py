@@ -172,7 +172,7 @@ class OneAtATime(Design):
         return Point(index, columns, level.overrides, self.axes[axis].name, level.place)
 
     def words(self, point: Point) -> str:
-        """What differs from the base."""
+        """Differences from the base."""
         if not point.varied:
             return "base"
         return self.study.values({point.varied: point.columns[point.varied]})

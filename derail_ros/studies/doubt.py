@@ -1,4 +1,4 @@
-"""Ensembles in which the constants that are lost vary too.
+"""Ensembles in which the lost constants vary too.
 
 An ensemble varies the force that starts the motion. What the surviving copy of the source lost is
 the same in all its runs. Where the largest force occurs early, all runs have the same one, and

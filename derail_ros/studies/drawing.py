@@ -1,4 +1,4 @@
-"""What the figures of studies add to those of a run: series, error bars."""
+"""Drawing for the figures of studies: series, error bars."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ engine takes its own steps."""
 
 
 class ScenarioLike(Protocol):
-    """What the runner needs of a scenario."""
+    """The interface of a scenario for the runner."""
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> ScenarioLike: ...
     def to_params(self) -> TrainParams: ...
@@ -60,7 +60,7 @@ class Member:
 
 
 class Stopped(Exception):
-    """A run was given up because its runner was told to stop."""
+    """A run ended because its runner was told to stop."""
 
 
 def member_factor(seed: int, member: int, variation: float = VARIATION) -> float:
@@ -118,7 +118,7 @@ def vary(params: TrainParams, factor: float) -> TrainParams:
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of a job."""
+    """Result of a job."""
 
     index: int  # place of the job among those given, from 0
     job: Job

@@ -1,4 +1,4 @@
-"""The journal of a study: each finished run as a line, from which an interrupted study goes on.
+"""The journal of a study: one line a finished run; an interrupted study continues from it.
 
 A line is a JSON object: point, member and the columns of the table of runs. It is written and
 flushed when its run is done. If the process ends, the line that was being written is lost at

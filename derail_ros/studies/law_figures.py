@@ -1,4 +1,4 @@
-"""The laws of a run drawn: what the source shows of its own."""
+"""Figures of the laws, as the source shows them."""
 
 from __future__ import annotations
 

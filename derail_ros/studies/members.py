@@ -1,4 +1,4 @@
-"""The members of an ensemble kept: where their cars lie, and pictures of all of them."""
+"""The kept members of an ensemble: where their cars lie, and pictures of all of them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Members:
         self.outlines: dict[int, F64] = {}
 
     def add(self, member: int, outcome: Outcome, cars: Sequence[Car]) -> None:
-        """Keep what a member came to; void runs are left out."""
+        """Keep the result of a member; void runs are left out."""
         if outcome.void:
             return
         derailed = (*outcome.derailed_cars, *outcome.standing.derailed)

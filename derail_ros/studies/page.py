@@ -1,4 +1,4 @@
-"""The page of a study: figures, findings and tables in one HTML file that needs nothing else.
+"""The page of a study: figures, findings and tables in one self-contained HTML file.
 
 No scripts, no requests: the content security policy allows inline pictures and the one style
 sheet, by its hash. Whatever comes from a study's file is escaped. Every figure has a text for a

@@ -1,4 +1,4 @@
-"""Study files: a base scenario, what is varied in it, by which design, how often.
+"""Study files: a base scenario, its varied parameters, the design, the number of runs.
 
 The reader is that of scenarios (strict YAML; every mistake is one line with file, line, field and
 reason). All points of a study are checked before its first run: a misspelt path is reported
@@ -79,7 +79,7 @@ class Column(Section):
 
 
 class Parameter(Column):
-    """What is varied, and over what.
+    """A varied parameter and its values.
 
     What: a dotted ``path`` of the scenario, or ``set`` (several paths; the text ``$value``
     stands for the value). Over what, exactly one of: ``values``, ``percent`` (of the base

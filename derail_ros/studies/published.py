@@ -1,4 +1,4 @@
-"""The published runs of the source's model, and what is known of the accidents themselves."""
+"""The published runs of the source's model, and known facts of the accidents."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Published:
     same_train: Mapping[str, str] = field(default_factory=dict)
 
     def accident(self, scenario: str) -> Mapping[str, float]:
-        """What is known of the accident of a scenario; nothing for other trains."""
+        """Known facts of the accident of a scenario; empty for other trains."""
         return self.accidents.get(self.same_train.get(scenario, scenario), {})
 
     def of_run(self, scenario: str, params: TrainParams) -> Mapping[str, Any]:

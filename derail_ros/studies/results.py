@@ -1,4 +1,4 @@
-"""Results of a study: what a folder holds. All that is asked of them is a function over them."""
+"""Results of a study in a folder, as data only."""
 
 from __future__ import annotations
 

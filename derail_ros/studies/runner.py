@@ -1,4 +1,4 @@
-"""Running a study: into a folder, from where it was left, to a table and a manifest.
+"""Runs a study into a folder, continues an interrupted one, writes table and manifest.
 
 The folder holds ``runs.journal`` (each finished run, for going on after an interruption),
 ``manifest.json`` and, when all runs are there, ``runs.parquet`` or ``runs.csv``: a row for each
@@ -73,7 +73,7 @@ def run_study(
     run: Runner = run_many,
     progress: Progress | None = None,
 ) -> Path:
-    """Run a study into a folder, or what is missing of it there.
+    """Run a study into a folder; runs that are there already are kept.
 
     Parameters
     ----------

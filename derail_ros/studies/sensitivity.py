@@ -245,7 +245,7 @@ def _as_dict(differences: Mapping[str, Difference]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Effect:
-    """What a change does."""
+    """The effect of a change."""
 
     constant: Constant
     change: Change

@@ -1,4 +1,4 @@
-"""What a study says in plain sentences, and where it cannot tell."""
+"""The findings of a study in sentences, and what it cannot tell."""
 
 from __future__ import annotations
 

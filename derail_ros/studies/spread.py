@@ -106,7 +106,7 @@ def spread(
 
 
 def sentence(s: Spread) -> str:
-    """What a single run tells, in words."""
+    """How much a single run tells, in a sentence."""
 
     def band(key: str) -> str:
         d = s.distributions[key]

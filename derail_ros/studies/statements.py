@@ -1,4 +1,4 @@
-"""What the source says of its runs in words, and whether this model keeps it.
+"""The source's statements about its runs, and whether they hold for this model.
 
 Each statement is judged by a tolerance that is written beside it. Statements on the validation
 run are judged over its ensemble, a statement that holds in at least half of the runs is kept;

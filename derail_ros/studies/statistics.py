@@ -187,7 +187,7 @@ def alike(apart: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 @_once
 def effects(results: StudyResults) -> pd.DataFrame:
-    """What each parameter does to each measure; the columns depend on the design."""
+    """The effect of each parameter on each measure; the columns depend on the design."""
     import pandas as pd
 
     design = results.design

@@ -177,7 +177,7 @@ def known(results: Iterable[CaseResult], key: str) -> list[Distribution]:
 
 
 def goals(results: Sequence[CaseResult], limits: Mapping[str, Mapping[str, float]]) -> list[Goal]:
-    """What the comparison reached."""
+    """The values that the comparison reached."""
 
     def rms(name: str, key: str, text: str, relative: bool) -> Goal:
         of = known(results, key)

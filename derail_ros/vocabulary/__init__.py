@@ -1,4 +1,4 @@
-"""The words that every room shares: parameters in, results out, and what a run is.
+"""The terms that all rooms share: parameters, results, and the interface of a run.
 
 Nothing here imports another room.
 """

@@ -30,7 +30,7 @@ class ParameterError(DerailError, ValueError):
 
 
 class CommandError(DerailError, ValueError):
-    """A command was refused; the run goes on as if it had not been given."""
+    """A command was refused; the run continues unchanged."""
 
     def __init__(self, field: str, reason: str) -> None:
         super().__init__(f"{field}: {reason}")

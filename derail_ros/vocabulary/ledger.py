@@ -81,7 +81,7 @@ def entries(role: str) -> tuple[EnergyEntry, ...]:
 
 
 def residual(ledger: Mapping[str, float]) -> float:
-    """What the balance leaves unexplained, J; entries that are not there count as 0."""
+    """Unexplained rest of the balance, J; missing entries count as 0."""
     total = {
         role: sum(ledger.get(e.key, 0.0) for e in entries(role))
         for role in (INITIAL, PUT, TAKEN, STORED)
@@ -97,7 +97,7 @@ def available(ledger: Mapping[str, float]) -> float:
 
 
 def shares(ledger: Mapping[str, float]) -> list[tuple[EnergyEntry, float, float]]:
-    """What took energy out: entry, J, share of what there was (nan without); largest first."""
+    """Losses of energy: entry, J, share of the energy put in (nan without); largest first."""
     total = available(ledger)
     rows = [
         (e, ledger[e.key], ledger[e.key] / total if total > 0.0 else math.nan)

@@ -1,4 +1,4 @@
-"""What of an outcome lies beyond what the model was compared with, in sentences for its reader."""
+"""Sentences that say where an outcome is outside of what the model was compared with."""
 
 from __future__ import annotations
 

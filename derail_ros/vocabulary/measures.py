@@ -81,7 +81,7 @@ class Measure:
         return f"{self.words} ({unit})" if unit else self.words
 
     def value(self, outcome: Outcome) -> Any:
-        """Its value as JSON knows it: None for what does not exist."""
+        """Its value for JSON; None if it does not exist."""
         value = self.of(outcome)
         if self.kind == NUMBER:
             return finite(value)
@@ -313,7 +313,7 @@ def counted(record: Mapping[str, Any]) -> bool:
 
 
 def record_numbers(record: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers of a record that have a mean: measures, and ``energy_J.brakes`` and the like."""
+    """Numbers of a record that have a mean: measures, and entries like ``energy_J.brakes``."""
     flat: dict[str, float] = {}
     for key, value in record.items():
         if key in MEASURES:

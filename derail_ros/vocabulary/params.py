@@ -345,7 +345,7 @@ class WeakCoupling:
 
 @dataclass(frozen=True)
 class CouplingParams:
-    """What couplings do along the train.
+    """Couplings along the train.
 
     Attributes
     ----------
@@ -552,5 +552,5 @@ class TrainParams:
 
     @property
     def alone(self) -> TrainParams:
-        """The train without what stands on second tracks."""
+        """The train without the cars on second tracks."""
         return replace(self, cars=self.cars[: self.n_train], tracks=(), standing=())

@@ -1,4 +1,4 @@
-"""The place of a run: ground zones, fixed bodies and areas; and what came to stand in them.
+"""The place of a run: ground zones, fixed bodies and areas, and the results for them.
 
 Outlines are vertices (x, y) in the frame of the track, m, or with ``beside`` track coordinate and
 offset to the left. A closed one is a polygon, the last vertex joined to the first; an open one is
@@ -48,7 +48,7 @@ class GroundZone:
 
 @dataclass(frozen=True)
 class FixedBody:
-    """What stands fast beside the track: a wall (open) or a building or pier (closed).
+    """A fixed body beside the track: a wall (open), or a building or pier (closed).
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class FixedBody:
 
 @dataclass(frozen=True)
 class Area:
-    """A line or a polygon of which it is told which cars come there; it changes no motion."""
+    """A line or a polygon; the outcome says which cars enter it. It changes no motion."""
 
     name: str
     outline: Outline
@@ -112,7 +112,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class SiteParams:
-    """What stands beside the track.
+    """The surroundings of the track.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class SiteParams:
 
 @dataclass(frozen=True)
 class Struck:
-    """What a fixed body has borne.
+    """The impacts on a fixed body.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How a run stands, and the levels and names that go with it: each in one table."""
+"""Statuses of a run, force levels and names, each in one table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Totals of a train: what a report of an accident says of it in a line."""
+"""Totals of a train, as an accident report gives them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TrainTotals:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The totals as plain data; None for what is not known."""
+        """The totals as plain data; None for unknown values."""
         counts = {key: getattr(self, key) for key in ("cars", *TRAIN_COUNTS)}
         sizes = {"length_m": finite(self.length), "mass_kg": finite(self.mass)}
         return {**counts, **sizes, "text": self.text}

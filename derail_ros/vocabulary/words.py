@@ -1,4 +1,4 @@
-"""Numbers and lists in words: one way to write a force, a speed, a list of cars."""
+"""Formats numbers and lists as text: forces, speeds, lists of cars."""
 
 from __future__ import annotations
 
