@@ -25,6 +25,7 @@ from derail_ros.vocabulary.measures import (
     Record,
     counted,
     record_numbers,
+    shown_of,
 )
 from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.status import TIME_LIMIT, VOID
@@ -229,7 +230,7 @@ def _one_run(record: Record, groups: Sequence[str], constants: str) -> Table:
     if record.get("braked") is False:
         rows.append(("brakes", "never applied"))
     measures = [
-        (m.title, m.shown(record.get(m.key)))
+        (m.title, shown_of(record, m))
         for m in _ordered(groups)
         if m.everywhere or record.get(m.key) is not None
     ]

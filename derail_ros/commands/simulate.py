@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -112,7 +114,7 @@ def run(
         records,
         notes={},
         warnings=list(filter(None, told)),
-        limits=_limits(simulation) if "error" not in records[0] else (),
+        limits=_limits(simulation, records),
         inputs=[] if members == 1 else ensembles.inputs(loaded, members, seed),
     )
     if output is not None:
@@ -128,10 +130,15 @@ def run(
     return results.finish(report, output, as_json, verbose, about)
 
 
-def _limits(simulation: Simulation) -> list[str]:
-    from derail_ros.vocabulary.limits import limits
+def _limits(simulation: Simulation, records: Sequence[Record]) -> list[str]:
+    """Limits of the first run, and of the forces in the train of all of them."""
+    from derail_ros.vocabulary.limits import limits, train_force_limits
+    from derail_ros.vocabulary.measures import counted
 
-    return limits(simulation.outcome(), simulation.track)
+    found = limits(simulation.outcome(), simulation.track) if "error" not in records[0] else []
+    good = [record for record in records if counted(record)]
+    forces = ([r[key] or math.nan for r in good] for key in ("max_draft_N", "max_buff_N"))
+    return found + train_force_limits(*forces, simulation.params.couplings.breaks)
 
 
 def unbraked(params: TrainParams, record: Record) -> str | None:

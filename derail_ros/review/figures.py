@@ -24,6 +24,7 @@ from derail_ros.review.drawing import (
     mark,
     styled,
 )
+from derail_ros.vocabulary.limits import KNUCKLE, SILL
 from derail_ros.vocabulary.status import CERTAIN_RUPTURE_FORCE, RUPTURE_FORCE
 from derail_ros.vocabulary.words import cars
 
@@ -114,7 +115,7 @@ LEVELS: tuple[tuple[str, str, str], ...] = (
 )
 LIMITS = (
     (RUPTURE_FORCE * 1e-6, "5 MN\nhas ruptured\ntank cars"),
-    (CERTAIN_RUPTURE_FORCE * 1e-6, "10 MN\nconservative\ncount"),
+    (CERTAIN_RUPTURE_FORCE * 1e-6, "10 MN\ncertain\nrupture"),
 )
 
 
@@ -209,13 +210,21 @@ def in_train_forces(outcome: Outcome, title: str = "") -> Figure:
     )
     numbers = np.arange(1, len(draft) + 1)
     figure = drawing.sheet(WIDTH, 4.3)
-    axes = drawing.place(figure, 0.75, 0.95, WIDTH - 1.1, 2.75)
+    axes = drawing.place(figure, 0.75, 0.95, WIDTH - 1.7, 2.75)
     drawing.dress(axes, grid="y")
     axes.axhline(0.0, color=INK, lw=0.8, zorder=4)
     handles: list[Any] = []
     for values, sign, (fill, name) in ((draft, 1.0, DRAFT), (buff, -1.0, BUFF)):
         axes.bar(numbers, sign * values, width=0.84, color=fill, zorder=3)
         handles.append(hatched(name, fill, "", lw=0.0))
+    borne = ((draft, KNUCKLE, 1.0, "knuckles\nbreak"), (buff, SILL, -1.0, "cars are\ntested to"))
+    for values, level, sign, text in borne:
+        if values.max(initial=0.0) > level * 1e-6:
+            at = sign * level * 1e-6
+            axes.axhline(at, color=INK, lw=1.0, ls=(0, (6, 3)), zorder=5)
+            beside = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+            axes.annotate(f"{level * 1e-6:.2f} MN\n{text}", xy=(1.0, at), xytext=(6, 0),
+                          va="center", size=8, annotation_clip=False, **beside)  # fmt: skip
     parted = [p.coupling for p in outcome.parted]
     if parted:
         cross: dict[str, Any] = {"ls": "", "marker": "x", "ms": 7, "mew": 1.6, "color": INK}

@@ -16,7 +16,7 @@ import derail_ros
 from derail_ros.vocabulary import words
 from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.ledger import shares, stopped_by
-from derail_ros.vocabulary.limits import limits
+from derail_ros.vocabulary.limits import limits, train_force_limits
 from derail_ros.vocabulary.measures import NUMERICS, outcome_record, shown_rows
 from derail_ros.vocabulary.status import AT_REST
 from derail_ros.vocabulary.words import capital, finite
@@ -242,6 +242,7 @@ def findings(run: RecordedRun) -> dict[str, Any]:
             "files": {name: sha256(data).hexdigest() for name, data in run.files.items()},
         },
         "outcome": outcome_record(run.outcome),
+        "limits": _limits(run),
         "stopped_by": {
             "text": stopped,
             "shares": [
@@ -256,6 +257,13 @@ def findings(run: RecordedRun) -> dict[str, Any]:
     }
 
 
+def _limits(run: RecordedRun) -> list[str]:
+    draft, buff = ([run.outcome.largest(which)[0]] for which in ("draft", "buff"))
+    couplers = run.scenario.get("couplers") or {}
+    breaks = any(couplers.get(f"{part}_strength_N") for part in ("knuckle", "body"))
+    return limits(run.outcome, run.line) + train_force_limits(draft, buff, breaks)
+
+
 # --- text ------------------------------------------------------------------------------------
 
 
@@ -268,7 +276,7 @@ def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     if run.outcome.void:
         lines.append(NOT_VALID)
     lines += ["", *_outcome(run, facts["outcome"])]
-    for sentence in limits(run.outcome, run.line):
+    for sentence in facts["limits"]:
         lines += _wrap(f"{capital(sentence)}.", 96)
 
     def section(title: str, rows: list[str]) -> None:

@@ -23,6 +23,7 @@ from derail_ros.scenario.scenario import Scenario, loads_scenario
 from derail_ros.scenario.schema import FORMAT_VERSION, MAX_CARS, CarType
 from derail_ros.scenario.strict_yaml import flow
 from derail_ros.scenario.units import UNITS
+from derail_ros.vocabulary.limits import KNUCKLE
 from derail_ros.vocabulary.words import cars
 
 MAX_BYTES = 1024 * 1024
@@ -112,6 +113,11 @@ BRAKES: dict[str, dict[str, Any]] = {
 }
 TRUCK_SHARE = 0.75
 """Truck centres over length over couplers of a car of no type, assumed."""
+COUPLINGS = (
+    f"knuckles break at {KNUCKLE * 1e-6:.2f} MN (AAR M-211); couplings are rigid below that, "
+    "without slack and draft gear (couplers.draft_gear)"
+)
+"""Assumed of every list."""
 FEET = re.compile(r"(\d+(?:\.\d+)?)\s*(?:'|ft|-)\s*(?:(\d+(?:\.\d+)?)\s*(?:\"|''|in)?)?\Z")
 
 
@@ -178,6 +184,9 @@ class ConsistList:
             "",
             "brakes:",
             "  vent_on_parting: true  # assumed; and an emergency from the front at the start",
+            "",
+            "couplers:",
+            f"  knuckle_strength_N: {KNUCKLE * 1e-6:.2f}e6  # assumed: AAR M-211, static test",
         ]
         return "\n".join(lines) + "\n"
 
@@ -267,6 +276,7 @@ class _Reader:
             raise self.error(None, "", "has headings and no cars")
         for note, numbers in self.notes.items():
             self.result.assumed.append(f"{cars(numbers)}: {note}")
+        self.result.assumed.append(COUPLINGS)
 
     # --- headings ---------------------------------------------------------------------------
 

@@ -3,15 +3,52 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.scene import Line
-from derail_ros.vocabulary.words import cars
+from derail_ros.vocabulary.words import cars, count, force
 
 IN_LINE = math.radians(5.0)
 """A derailed car whose heading differs by less from the track's was dragged in line, rad."""
 BESIDE = 1.5
 """... and whose mass centre is this near to the centre line, m."""
+
+KNUCKLE = 2.89e6
+"""Tension that a knuckle has to bear in the static test of AAR M-211, N."""
+SILL = 4.45e6
+"""Compression that a car body has to bear in the static test of AAR M-1001, 1 000 000 lbf, N."""
+
+
+def train_force_limits(
+    draft: Sequence[float], buff: Sequence[float], breaks: bool = False
+) -> list[str]:
+    """In-train forces that couplings or cars would not bear, a sentence for draft and for buff.
+
+    Parameters
+    ----------
+    draft, buff : largest force of each run, N; nan where it is not known
+    breaks : couplings break in tension in these runs
+    """
+    found = []
+    if not breaks:
+        bearer = "at which knuckles break (AAR M-211)"
+        why = "couplings do not break in tension here; set couplers.knuckle_strength_N"
+        found += _above("draft", draft, KNUCKLE, bearer, why)
+    bearer = "for which car bodies are tested (AAR M-1001)"
+    return found + _above("buff", buff, SILL, bearer, "nothing yields in this model")
+
+
+def _above(which: str, forces: Sequence[float], level: float, bearer: str, why: str) -> list[str]:
+    above = [f for f in forces if f > level]
+    if not above:
+        return []
+    told = f"above the {level * 1e-6:.2f} MN {bearer}: {why}"
+    if len(forces) == 1:
+        return [f"the largest {which} force is {force(above[0])}, {told}"]
+    most = f"{force(max(above))} at most"
+    runs = f"in {len(above)} of {count(len(forces), 'run')} ({most})"
+    return [f"the largest {which} force is, {runs}, {told}"]
 
 
 def limits(outcome: Outcome, line: Line) -> list[str]:

@@ -291,12 +291,25 @@ def in_train(outcome: Outcome) -> Record:
     return {**most, "couplings": couplings}
 
 
+def shown_of(record: Mapping[str, Any], m: Measure) -> str:
+    """A measure of a record for people; the largest forces in the train with place and time."""
+    text = m.shown(record.get(m.key))
+    which = m.key.removeprefix("max_").removesuffix("_N")
+    car = record.get(f"max_{which}_coupling")
+    if m.key != f"max_{which}_N" or text == "-" or car is None:
+        return text
+    couplings = (record.get("in_train") or {}).get("couplings") or []
+    time = couplings[car - 1][f"max_{which}_time_s"] if car <= len(couplings) else None
+    when = "" if time is None else f" at {time:.2f} s"
+    return f"{text}  (between cars {car} and {car + 1}{when})"
+
+
 def shown_rows(
     record: Mapping[str, Any], groups: Sequence[str] = (HEADLINE,), without: Sequence[str] = ()
 ) -> list[tuple[str, str]]:
     """Title and value, for people, of each measure that a record has."""
     return [
-        (m.title, m.shown(record[m.key]))
+        (m.title, shown_of(record, m))
         for m in MEASURES.values()
         if m.group in groups and m.key not in without and record.get(m.key) is not None
     ]

@@ -360,6 +360,11 @@ class CouplingParams:
     body_strength: float = 0.0
     weak: tuple[WeakCoupling, ...] = ()
 
+    @property
+    def breaks(self) -> bool:
+        """Every coupling breaks at some tension."""
+        return bool(self.knuckle_strength or self.body_strength)
+
 
 @dataclass(frozen=True)
 class GroundParams:

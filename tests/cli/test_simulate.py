@@ -73,6 +73,10 @@ def test_one_run_as_a_table(derail, small):
     assert places == sorted(places)
     assert "A short train" in answer.out and "energy imbalance" not in answer.out
     assert "energy imbalance" in derail("simulate", small, "--verbose").out
+    record = derail("simulate", small, "--json").json["outcomes"][0]
+    car = record["max_draft_coupling"]
+    time = record["in_train"]["couplings"][car - 1]["max_draft_time_s"]
+    assert f"(between cars {car} and {car + 1} at {time:.2f} s)" in answer.out
 
 
 def test_settings_change_the_run(derail, small):

@@ -60,6 +60,22 @@ def test_the_summary_holds_what_the_recording_does(run: RecordedRun) -> None:
         assert len(car["struck"]) == len(struck)
 
 
+def test_forces_in_the_train_have_place_and_time_and_limits(run: RecordedRun) -> None:
+    largest, car, time = run.outcome.largest("draft")
+    told = dict(run.outcome.couplings)
+    factor = 7.5e6 / largest
+    told["max_draft_N"] = told["max_draft_N"] * factor
+    hard = replace(run, outcome=replace(run.outcome, couplings=told))
+    facts, text = summary.findings(hard), summary.text(hard)
+    assert any("7.5 MN, above the 2.89 MN at which knuckles break" in x for x in facts["limits"])
+    assert "The largest draft force is 7.5 MN" in text
+    assert f"7.50  (between cars {car} and {car + 1} at {time:.2f} s)" in text
+    breaks = dict(run.scenario) | {"couplers": {"knuckle_strength_N": 2.89e6}}
+    assert not any(
+        "draft" in x for x in summary.findings(replace(hard, scenario=breaks))["limits"]
+    )
+
+
 def test_the_timeline_is_in_order_and_leaves_nothing_out(run: RecordedRun) -> None:
     line = summary.timeline(run)
     times = [e["time_s"] for e in line]

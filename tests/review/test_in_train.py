@@ -35,6 +35,17 @@ def test_bars_are_the_largest_forces_and_crosses_the_parted_couplings():
     assert "draft 0.40 MN in coupling 2 at 2.5 s" in texts
 
 
+def test_forces_beyond_what_couplers_bear_are_marked():
+    def marks(factor):
+        told = {k: v * factor if k.endswith("_N") else v for k, v in COUPLINGS.items()}
+        (axes,) = in_train_forces(outcome(couplings=told), "A train").figure.axes
+        return [text.get_text().split("\n")[0] for text in axes.texts]
+
+    assert marks(1.0) == []
+    assert marks(4.0) == ["4.45 MN"]
+    assert marks(10.0) == ["2.89 MN", "4.45 MN"]
+
+
 def test_what_was_gained_on_the_way_counts_as_energy_to_lose():
     ledger = {"initial": 1e6, "kinetic": 0.0, "potential": -5e5, "traction": 5e5, "brakes": 1.5e6,
               "resistance": 5e5}  # fmt: skip

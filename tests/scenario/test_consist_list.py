@@ -49,6 +49,14 @@ def test_a_list_of_a_railway(tmp_path):
     assert scenario.model.track.rail_breaks_under_cars == (2,)
 
 
+def test_couplings_of_a_list_break(tmp_path):
+    """A few derailed loads pull with more than a knuckle bears."""
+    found = read(tmp_path, LIST)
+    assert found.to_scenario().to_params().couplings.knuckle_strength == 2.89e6
+    assert "knuckle_strength_N: 2.89e6  # assumed" in found.to_yaml()
+    assert any(text.startswith("knuckles break at 2.89 MN") for text in found.assumed)
+
+
 def test_units_of_other_railways(tmp_path):
     found = read(
         tmp_path, "type;longueur;length_m;gross_t;load;count\ntank car;;18,2;129,7;L;20\n"

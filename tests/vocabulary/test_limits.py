@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from derail_ros.recording.recorded_run import SampledLine
-from derail_ros.vocabulary.limits import limits
+from derail_ros.vocabulary.limits import limits, train_force_limits
 from derail_ros.vocabulary.outcome import Outcome
 
 
@@ -42,3 +42,24 @@ def test_in_a_curve_headings_are_those_of_the_track() -> None:
     assert dragged.startswith("car 1 is off the rails but in line")
     (curve,) = limits(outcome((x, y, 0.0)), line)
     assert "a curve of 250 m radius" in curve
+
+
+def test_forces_that_couplers_and_cars_do_not_bear() -> None:
+    assert train_force_limits([2.8e6], [4.4e6]) == []
+    assert train_force_limits([math.nan], [math.nan]) == []
+    draft, buff = train_force_limits([20.3e6], [18.2e6])
+    assert draft == (
+        "the largest draft force is 20.3 MN, above the 2.89 MN at which knuckles break "
+        "(AAR M-211): couplings do not break in tension here; set couplers.knuckle_strength_N"
+    )
+    assert buff == (
+        "the largest buff force is 18.2 MN, above the 4.45 MN for which car bodies are tested "
+        "(AAR M-1001): nothing yields in this model"
+    )
+    (buff,) = train_force_limits([3.4e6], [18.2e6], breaks=True)
+    assert buff.startswith("the largest buff force")
+
+
+def test_forces_of_an_ensemble() -> None:
+    (draft,) = train_force_limits([20.3e6, 2.0e6, 3.0e6, math.nan], [0.0, 1e6, 2e6, math.nan])
+    assert draft.startswith("the largest draft force is, in 2 of 4 runs (20.3 MN at most), above")
