@@ -129,8 +129,9 @@ class PlainProgress:
     ) -> int:
         """Begin a task; its number."""
         self._tasks.append(
-            {"name": description, "total": total, "completed": completed, "state": state}
-        )
+            {"name": description, "total": total, "completed": completed, "state": state,
+             "began": time.monotonic(), "before": completed}
+        )  # fmt: skip
         return len(self._tasks) - 1
 
     def update(self, task: int, *, advance: float = 0, **now: Any) -> None:
@@ -143,7 +144,17 @@ class PlainProgress:
             return
         self._said = moment
         done = "" if it["total"] is None else f"{it['completed']:g} of {it['total']:g}"
-        note(f"derail: {it['name']}: {', '.join(w for w in (done, it['state']) if w)}")
+        words = (done, it["state"], _left(it, moment))
+        note(f"derail: {it['name']}: {', '.join(w for w in words if w)}")
+
+
+def _left(task: Mapping[str, Any], moment: float) -> str:
+    """About how long a task goes on, by what was done since it began; "" if that is not known."""
+    done = task["completed"] - task["before"]
+    if task["total"] is None or done <= 0.0:
+        return ""
+    left = (task["total"] - task["completed"]) * (moment - task["began"]) / done
+    return f"about {left / 60.0:.0f} min left" if left >= 90.0 else f"about {left:.0f} s left"
 
 
 def counting_columns() -> list[Any]:

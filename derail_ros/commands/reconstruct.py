@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from derail_ros.commands import common
-from derail_ros.commands.common import OK, CommandFailure, note
+from derail_ros.commands.common import INTERRUPTED, OK, CommandFailure, note
 from derail_ros.commands.options import Jobs, Json, Seed, written
 
 if TYPE_CHECKING:
@@ -42,23 +42,27 @@ def run(
         raise CommandFailure(str(error)) from None
     if output is not None:
         output = common.output_directory(output)
-    with common.counting_runs("reconstruct") as progress:
-        found = reconstruct(
-            known, load_calibrated(), draws=draws, seed=seed, jobs=jobs, progress=progress
-        )
+    try:
+        with common.counting_runs("reconstruct") as progress:
+            found = reconstruct(
+                known, load_calibrated(), draws=draws, seed=seed, jobs=jobs, progress=progress
+            )
+    except EvidenceError as error:
+        raise CommandFailure(str(error)) from None
     report = found.as_dict()
     if output is not None:
         common.write_json(output / "reconstruction.json", report)
-        _draw(found, output)
+        _draw(found, output, 0 if report["interrupted"] else 3)
     if as_json:
         common.print_json("reconstruction", report)
+        for said in report["warnings"]:
+            note(f"derail: warning: {said}")
     else:
         _print(found, output)
-    if found.widened > 1.0:
-        note(
-            f"derail: warning: few runs come near the evidence: its accuracies were widened by "
-            f"{found.widened:.2f}; more draws (-n), or a wider speed_kmh"
-        )
+    if report["interrupted"]:
+        scenes = "" if output is None else "; there are no likeliest scenes"
+        note(f"derail: interrupted after {report['runs']} of {draws} runs{scenes}")
+        return INTERRUPTED
     return OK
 
 
@@ -68,11 +72,11 @@ def _print(found: Reconstruction, output: Path | None) -> None:
 
     report = found.as_dict()
     console = common.out()
+    for said in report["warnings"]:
+        console.print(said, style="bold", markup=False, soft_wrap=True)
     console.print(report["title"], style="bold", markup=False)
     console.print(
-        f"{report['runs']} runs with calibrated constants, {report['effective_runs']:.0f} count; "
-        "ranks of synthetic accidents are even with p = "
-        + ("-" if report["ranks_even_p"] is None else f"{report['ranks_even_p']:.2f}"),
+        f"{report['runs']} runs with calibrated constants, {report['effective_runs']:.0f} count",
         soft_wrap=True,
     )
     rows = []
@@ -87,8 +91,8 @@ def _print(found: Reconstruction, output: Path | None) -> None:
         console.print(f"results in {output}", soft_wrap=True)
 
 
-def _draw(found: Reconstruction, output: Path) -> None:
-    """Scenes of the likeliest runs."""
+def _draw(found: Reconstruction, output: Path, likeliest: int) -> None:
+    """The bands, and scenes of so many of the likeliest runs."""
     from derail_ros import models
     from derail_ros.predict.picture import reconstruction_picture
     from derail_ros.predict.trains import on_grade
@@ -98,7 +102,7 @@ def _draw(found: Reconstruction, output: Path) -> None:
     from derail_ros.studies.ensemble import advance
 
     scenes = []
-    for rank, i in enumerate(found.likeliest(), 1):
+    for rank, i in enumerate(found.likeliest(likeliest), 1):
         draw = found.members[i].draw
         scenario = found.evidence.scenario.with_overrides(
             {"train.speed_kmh": float(found.speeds[i])}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon
 
 from derail_ros.predict import scores
 from derail_ros.predict.prediction import BANDS, Prediction, of_distribution, of_values
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from derail_ros.predict.reconstruct import Reconstruction
     from derail_ros.review.scene import Scene
@@ -97,17 +99,37 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
     """The inferred quantities, before and after, and the likeliest scenes beside the evidence."""
     known = found.evidence.known
     length, width = (known.get(f"scene_{k}_m", (np.nan, 0.0))[0] for k in ("length", "width"))
-    windows = [drawing.window_of(s.corners()[s.derailed & s.real], 5.0) for s in scenes]
-    wide = max([w[1] - w[0] for w in windows] + [np.nan_to_num(length) + 10.0])
-    tall = max([w[3] - w[2] for w in windows] + [np.nan_to_num(width) + 10.0])
+    boxes = [_known_extent(s, length, width) for s in scenes]
+    windows = [
+        drawing.window_of(np.concatenate([_derailed(s), b]), 5.0)
+        for s, b in zip(scenes, boxes, strict=True)
+    ]
+    wide = max((w[1] - w[0] for w in windows), default=1.0)
+    tall = max((w[3] - w[2] for w in windows), default=1.0)
     each = 6.7 * tall / wide
-    top = 5.1
+    more = " (taken as ± {:.3g})" if found.widened > 1.0 else ""
+    told = "\n".join(
+        f"{k.replace('_', ' ').removesuffix(' m').removesuffix(' s')}: {v:g} ± {e:g}"
+        + (" m" if k.endswith("_m") else " s" if k.endswith("_s") else "")
+        + more.format(e * found.widened)
+        for k, (v, e) in known.items()
+    )
+    said = "\n".join(line for text in found.warnings() for line in wrap(text, 76))
+    step = 0.18
+    head = 0.55
+    lines = [(said, VERMILION, "bold"), (told, INK, "normal")]
+    height = sum(step * (text.count("\n") + 1) + 0.08 for text, *_ in lines if text)
+    top = 4.25 + head + height
     page = sheet(7.2, top + len(scenes) * (each + 0.4))
     heading(page, found.evidence.title, "", left=0.25, fits=52)
-    told = ", ".join(f"{k.replace('_', ' ')} {v:g} ± {e:g}" for k, (v, e) in known.items())
-    put(page, 0.25, 0.62, f"known: {told}", size=min(11.0, 11.0 * 74 / max(len(told), 1)))
+    for text, colour, weight in lines:
+        if text:
+            put(page, 0.25, head, text, size=10.5 if weight == "bold" else 11, va="top",
+                color=colour, weight=weight, linespacing=1.15)  # fmt: skip
+            head += step * (text.count("\n") + 1) + 0.08
     values = found.quantities()
-    axes = drawing.grid_of(page, 4, 2, (0.45, 0.25, 1.4, page.get_figheight() - 4.45, 0.5, 0.95))
+    below = page.get_figheight() - top + 0.65
+    axes = drawing.grid_of(page, 4, 2, (0.45, 0.25, head + 0.6, below, 0.5, 0.95))
     for one, (key, words) in zip(axes, QUANTITIES.items(), strict=True):
         x = values[key]
         edges = np.linspace(x.min(), np.quantile(x, 0.99), 16)
@@ -118,10 +140,11 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
         one.tick_params(labelsize=11)
         one.set_yticks([])
         dress(one, "x", ("top", "right", "left"))
-    put(page, 0.25, 0.88, "grey: before, blue: with the evidence", size=11)
+    put(page, 0.25, head + 0.1, "grey: before, blue: with the evidence", size=11)
     dashed = "; dashed: the known extent" if length > 0.0 and width > 0.0 else ""
-    put(page, 0.25, top - 0.05, f"The likeliest scenes{dashed}", size=12)
-    for k, (scene, window) in enumerate(zip(scenes, windows, strict=True)):
+    if scenes:
+        put(page, 0.25, top - 0.05, f"The likeliest scenes{dashed}", size=12)
+    for k, (scene, window, box) in enumerate(zip(scenes, windows, boxes, strict=True)):
         at = top + k * (each + 0.4)
         one = place(page, 0.25, at + 0.35, 6.7, each)
         middle = 0.5 * (window[0] + window[1]), 0.5 * (window[2] + window[3])
@@ -130,10 +153,42 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
         drawing.show(one, shown)
         drawing.draw_track(one, scene, shown, 6.7 * 72.0 / wide)
         drawing.draw_bodies(one, scene, 0.7)
-        if np.isfinite(length) and np.isfinite(width):
-            corner = middle[0] - 0.5 * length, middle[1] - 0.5 * width
-            one.add_patch(Rectangle(corner, length, width, fill=False, ec=VERMILION, lw=1.6,
-                                    ls=(0, (5, 3)), zorder=12))  # fmt: skip
+        if len(box):
+            one.add_patch(Polygon(box, fill=False, ec=VERMILION, lw=1.6, ls=(0, (5, 3)),
+                                  zorder=12))  # fmt: skip
         drawing.scale_inside(one, shown, 0.2, 1.2)
         put(page, 0.25, at + 0.18, scene.subtitle, size=11)
     return page
+
+
+def _derailed(scene: Scene) -> NDArray[np.float64]:
+    """Corners of the derailed cars, of all if there are none, (n, 2)."""
+    off = scene.derailed & scene.real
+    return scene.corners()[off if off.any() else scene.real].reshape(-1, 2)
+
+
+def _known_extent(scene: Scene, length: float, width: float) -> NDArray[np.float64]:
+    """Outline of a known extent about the derailed cars by the track, (n, 2); empty without one.
+
+    Along a curve its long sides run with the track, as the computed extent is measured.
+    """
+    if not (length > 0.0 and width > 0.0):
+        return np.zeros((0, 2))
+    points = _derailed(scene)
+    a, along = scene.track[:-1], np.diff(scene.track, axis=0)
+    size = np.linalg.norm(along, axis=1)
+    start = np.concatenate([[0.0], np.cumsum(size)])
+    unit = along / size[:, None]
+    away = points[:, None] - a
+    s = np.clip((away * unit).sum(axis=2), 0.0, size)
+    gap = np.linalg.norm(away - s[..., None] * unit, axis=2)
+    k, n = gap.argmin(axis=1), np.arange(len(points))
+    place = start[k] + s[n, k]
+    normal = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    side = (away[n, k] * normal[k]).sum(axis=1)
+    middle, across = 0.5 * (place.min() + place.max()), 0.5 * (side.min() + side.max())
+    line = np.linspace(middle - 0.5 * length, middle + 0.5 * length, 41)
+    j = np.clip(np.searchsorted(start, line, "right") - 1, 0, len(size) - 1)
+    at = a[j] + (line - start[j])[:, None] * unit[j]
+    sides = drawing.beside(at, (across + 0.5 * width, across - 0.5 * width))
+    return np.concatenate([sides[0], sides[1][::-1]])

@@ -137,12 +137,14 @@ def runs_of(
     *,
     jobs: int | None = None,
     progress: Progress | None = None,
+    into: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """:data:`OUTPUTS` of each member that did not fail, (n, len(OUTPUTS)); nan of those that did.
 
     Parameters
     ----------
     subject : a train of a report, a scenario, or what gives the scenario of each member
+    into : array of nan that takes them as they come, for a caller who may be interrupted
     """
 
     def task(job: Job, stop: Any) -> list[float]:
@@ -158,7 +160,7 @@ def runs_of(
         simulation = run(build, m.draw, m.few, stop)
         return summary(simulation, time.perf_counter() - began)
 
-    found = np.full((len(chosen), len(OUTPUTS)), math.nan)
+    found = np.full((len(chosen), len(OUTPUTS)), math.nan) if into is None else into
     queue = (Job(subject, key=i) for i in range(len(chosen)))  # type: ignore[arg-type]
     with closing(run_many(queue, jobs=jobs, task=task)) as results:
         for done, result in enumerate(results, 1):
