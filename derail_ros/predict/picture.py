@@ -109,7 +109,7 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
     each = 6.7 * tall / wide
     more = " (taken as ± {:.3g})" if found.widened > 1.0 else ""
     told = "\n".join(
-        f"{k.replace('_', ' ').removesuffix(' m').removesuffix(' s')}: {v:g} ± {e:g}"
+        f"{k.replace('_', ' ').removesuffix(' m').removesuffix(' s')}: {v:.4g} ± {e:.3g}"
         + (" m" if k.endswith("_m") else " s" if k.endswith("_s") else "")
         + more.format(e * found.widened)
         for k, (v, e) in known.items()

@@ -337,7 +337,7 @@ class Reconstruction:
                 f"THE EVIDENCE IS NOT EXPLAINED: {which} all of it together. All accuracies were "
                 f"widened by {self.widened:.1f}, so the bands are those of the prior more than of "
                 f"the evidence. {worst} fits worst: {mean:.3g} in the runs that count, "
-                f"{value:g} ± {within:g} in the evidence."
+                f"{value:.4g} ± {within:.3g} in the evidence."
             )
         elif self.widened > 1.0:
             said.append(
