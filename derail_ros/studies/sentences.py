@@ -109,8 +109,8 @@ def _ranking(results: StudyResults, measure: str) -> list[str]:
     named = sorted((n for n in shares if n[0] != "("), key=lambda n: -shares[n])
     parts = [f"{results.study.words(n)} {shares[n]:.0f} %" for n in named]
     if "(interplay)" in shares:
-        parts.append(f"their interplay {shares['(interplay)']:.0f} %")
-    parts.append(f"chaos (runs of one point among themselves) {shares['(chaos)']:.0f} %")
+        parts.append(f"their interaction {shares['(interplay)']:.0f} %")
+    parts.append(f"chaos (between the runs of one point) {shares['(chaos)']:.0f} %")
     return [f"Shares of the variance of all runs: {joined(parts)}."]
 
 
@@ -171,7 +171,7 @@ def _not_told(results: StudyResults, measure: str) -> list[str]:
 
 
 MOST_NEEDED = 10_000
-"""Most runs a point that are named as what a difference would take."""
+"""Largest number of runs a point that a sentence names."""
 
 
 def _cannot(
@@ -181,7 +181,7 @@ def _cannot(
     words: list[str],
     groups: list[Any],
 ) -> str:
-    """The sentence about neighbours of which no two can be told apart."""
+    """The sentence about neighbours that cannot be distinguished."""
     study, n = results.study, results.manifest["ensemble"]
     subject = "" if line.column is None else f"{study.words(line.column)} "
     if line.fixed:
@@ -204,11 +204,11 @@ def _cannot(
     text += f" (means {with_unit(measure, ends)}"
     needed = statistics.runs_needed(groups[least], groups[most])
     if needed is not None and needed > MOST_NEEDED:
-        text += f"; so small a difference would take more than {MOST_NEEDED} runs per point"
+        text += f"; more than {MOST_NEEDED} runs per point would be needed"
     elif needed is not None and needed > n:
         # two digits are all that such an estimate has
         rounded = int(round(needed, -max(0, len(str(needed)) - 2)))
-        text += f"; a difference as large as that would take about {rounded} runs per point"
+        text += f"; about {rounded} runs per point would be needed"
     return text + ")."
 
 
@@ -265,7 +265,7 @@ def _sobol(results: StudyResults, measure: str) -> list[str]:
     chaos = _of(rows, "(chaos)")
     if chaos is not None:
         found.append(
-            f"Chaos (runs of one point among themselves) makes about {100.0 * chaos['ST']:.0f} % "
+            f"Chaos (between the runs of one point) makes about {100.0 * chaos['ST']:.0f} % "
             "of the variance between points, and is part of every total index."
         )
     return found
