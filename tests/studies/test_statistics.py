@@ -206,7 +206,7 @@ def test_what_cannot_be_told_apart_is_said(load, folder, invented):
         "At ground 0.8, speed 10 km/h and 12 km/h cannot be distinguished with 40 runs per point "
         "(means"
     )
-    assert "runs per point" in told[0].split("take about")[1]
+    assert "runs per point would be needed" in told[0].split("; about")[1]
     assert told[1].startswith("At ground 1.2, speed 10 km/h and 12 km/h")
     assert lines[0].startswith("Shares of the variance of all runs: speed")
     severity = dict(results.findings())["Severity relative to the base"]
