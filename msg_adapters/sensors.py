@@ -20,6 +20,7 @@ from msg_adapters.car_frame import Motion, heights, motion
 from msg_adapters.common import SENTINEL, RunContext
 from msg_adapters.definitions import message_class
 from msg_adapters.templates import Template, marked_header, quaternion, vector
+from msg_adapters.topics import SENSOR_TOPICS, Topic, topic_named
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,8 +39,8 @@ PLACES = ("body", "front_truck", "rear_truck")
 class Sensor(ABC):
     """A sensor at a car (index from 0): ``sensor(sample)`` gives the bytes of its message.
 
-    ``noise`` is a standard deviation in the unit of what is measured; ``topic`` and ``msgtype``
-    are what its messages are sent as.
+    ``noise`` is a standard deviation in the unit of what is measured; ``topic`` is where its
+    messages are sent.
     """
 
     msgtype: str
@@ -54,7 +55,9 @@ class Sensor(ABC):
         rng: Any,
         along: float = 0.0,
     ) -> None:
-        self.topic = f"car_{car + 1}/{name}"
+        topic = topic_named(f"car_{car + 1}/{name}")
+        assert topic is not None
+        self.topic: Topic = topic
         self.context, self.car, self.noise, self._rng = context, car, noise, rng
         self._height, self._along = heights(params.cars[car : car + 1]), along
         self._template: Template | None = None
@@ -99,7 +102,7 @@ class Sensor(ABC):
 class Odometry(Sensor):
     """``nav_msgs/Odometry``: pose of the car's frame in the inertial one, velocity in its own."""
 
-    msgtype = "nav_msgs/msg/Odometry"
+    msgtype = SENSOR_TOPICS["odometry"].msgtype
 
     def __init__(
         self,
@@ -137,7 +140,7 @@ class Imu(Sensor):
     ``noise`` is that of the acceleration, m/s^2, ``turn_noise`` that of the rates, rad/s.
     """
 
-    msgtype = "sensor_msgs/msg/Imu"
+    msgtype = SENSOR_TOPICS["imu_body"].msgtype
 
     def __init__(
         self,
@@ -179,7 +182,7 @@ class Imu(Sensor):
 class NavSat(Sensor):
     """``sensor_msgs/NavSatFix`` of the car's frame; ``noise`` is in metres each way."""
 
-    msgtype = "sensor_msgs/msg/NavSatFix"
+    msgtype = SENSOR_TOPICS["fix"].msgtype
 
     def __init__(
         self,
@@ -217,7 +220,7 @@ class WheelSpeed(Sensor):
     The model has no slip. A derailed truck has no wheel that rolls: NaN.
     """
 
-    msgtype = "geometry_msgs/msg/TwistStamped"
+    msgtype = SENSOR_TOPICS["wheel_speed"].msgtype
 
     def __init__(
         self,
@@ -253,7 +256,7 @@ class PipePressure(Sensor):
     ``reached`` is the car's number -> that run time (s); who has the events fills it in.
     """
 
-    msgtype = "sensor_msgs/msg/FluidPressure"
+    msgtype = SENSOR_TOPICS["brake_pipe_pressure"].msgtype
 
     def __init__(
         self,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rosbags.interfaces import (
@@ -125,7 +126,30 @@ LIVE_TOPICS = {
         ON_MAP,
     )
 }
-"""Topics that no recording of the simulator holds, for they follow from those above."""
+"""Topics that recordings of the simulator hold only if asked, for they follow from those above."""
+SENSOR_TOPICS = {
+    name: Topic(f"car_N/{name}", msgtype, 100, False, f"`{kind}_rate`; cars of `{kind}`", False)
+    for name, msgtype, kind in (
+        ("odometry", "nav_msgs/msg/Odometry", "odometry"),
+        ("imu_body", "sensor_msgs/msg/Imu", "imu"),
+        ("imu_front_truck", "sensor_msgs/msg/Imu", "imu"),
+        ("imu_rear_truck", "sensor_msgs/msg/Imu", "imu"),
+        ("fix", "sensor_msgs/msg/NavSatFix", "navsat"),
+        ("wheel_speed", "geometry_msgs/msg/TwistStamped", "wheel_speed"),
+        ("brake_pipe_pressure", "sensor_msgs/msg/FluidPressure", "pipe_pressure"),
+    )
+}
+"""Topics of the sensors of car N by their last names; recordings hold them only if asked. The
+depth is half a second of the fastest usual ones."""
+
+
+def topic_named(name: str) -> Topic | None:
+    """A topic of the simulator by its relative name, such as ``car_5/odometry``, or None."""
+    known = TOPICS.get(name) or LIVE_TOPICS.get(name)
+    found = re.fullmatch(r"car_[1-9]\d*/(\w+)", name)
+    if known is None and found is not None and (sensor := SENSOR_TOPICS.get(found[1])):
+        return replace(sensor, name=name)
+    return known
 
 
 def bag_qos(topic: Topic) -> Qos:

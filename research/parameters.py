@@ -6,7 +6,7 @@ import textwrap
 
 from derail_ros.nodes.parameters import NODES, Value
 from derail_ros.studies.tables import Table
-from msg_adapters.topics import LIVE_TOPICS, TOPICS
+from msg_adapters.topics import LIVE_TOPICS, MANIFEST, ON_MAP, SENSOR_TOPICS, TOPICS
 from research.pages import ROOT, Options
 
 
@@ -63,10 +63,13 @@ def parameter_table(node: str) -> str:
 def topic_table() -> str:
     """Markdown table of the simulator's topics."""
     rows = []
-    for topic in (*TOPICS.values(), *LIVE_TOPICS.values()):
+    asked = (*LIVE_TOPICS.values(), *SENSOR_TOPICS.values())
+    for topic in (*TOPICS.values(), *asked, MANIFEST):
         qos = f"reliable, {'transient local' if topic.latched else 'volatile'}, {topic.depth}"
-        rows.append((f"`{topic.name}`", f"`{topic.msgtype}`", qos, topic.when))
-    return Table(("name", "type", "QoS", "when"), rows, texts=4).markdown() + "\n"
+        own = "yes" if topic.recorded else "no" if topic not in asked else "`record_all`"
+        own = "no" if topic == ON_MAP else own
+        rows.append((f"`{topic.name}`", f"`{topic.msgtype}`", qos, topic.when, own))
+    return Table(("name", "type", "QoS", "when", "in `record`"), rows, texts=5).markdown() + "\n"
 
 
 def page() -> str:
@@ -84,7 +87,9 @@ reason.
 {parameter_table("simulator")}
 ### Topics of the simulator
 
-Relative names are in the node's namespace and can be remapped.
+Relative names are in the node's namespace and can be remapped. The node also has `/rosout` and
+`/parameter_events`, as every node, and the topics of the action `~/simulate_steps`. `manifest` is
+in recordings only.
 
 {topic_table()}
 ## `recorder`

@@ -161,13 +161,16 @@ class SimulatorCore:
             self._output.publish("/clock", reports.clock(stamp))
 
     def _emit_live(self, topic: str, stamp: int, data: bytes) -> None:
-        """Publish a message that is not recorded."""
+        """Publish a message; it is recorded only if all are."""
         self.tell_time(stamp)
         self._output.publish(topic, data)
+        if self.settings.records_all:
+            self.recording.write(topic, stamp, data)
 
     def _emit(self, topic: str, stamp: int, data: bytes) -> None:
         """Publish and record a message; the clock is as far as its stamp before it goes out."""
-        self._emit_live(topic, stamp, data)
+        self.tell_time(stamp)
+        self._output.publish(topic, data)
         self.recording.write(topic, stamp, data)
 
     # --- requests ----------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Messages of a simulator that are not in its recordings: frames, joints, sensors, maps."""
+"""What follows from the messages of a recording: frames, joints, sensors, maps."""
 
 from __future__ import annotations
 
@@ -40,13 +40,11 @@ from msg_adapters.markers import (
     STRUCK_HARD,
 )
 from msg_adapters.sensors import Sensor
-from msg_adapters.topics import ON_MAP, Topic
+from msg_adapters.topics import ON_MAP
 
 Messages = list[tuple[str, bytes]]
 GRAIN = 1e-9
 """Times closer than this are the same, s."""
-SENSOR_DEPTH = 100
-"""Depth of the topics of sensors: half a second of the fastest usual ones."""
 
 
 def chosen_cars(text: str, n_cars: int) -> list[tuple[int, str]]:
@@ -122,7 +120,7 @@ NOTHING_ON_MAP = geojson({"type": "FeatureCollection", "features": []})
 
 
 class LiveMessages:
-    """The messages of one run that its recording does not hold; see ``session.Live``."""
+    """The messages of one run that follow from those of its recording; see ``session.Live``."""
 
     def __init__(
         self,
@@ -154,7 +152,7 @@ class LiveMessages:
         # Rate, number of measurements so far, sensor.
         self._sensors: list[list[Any]] = []
         for rate, sensor in self._make_sensors():
-            if output.offer(Topic(sensor.topic, sensor.msgtype, SENSOR_DEPTH, False, "")):
+            if output.offer(sensor.topic):
                 self._sensors.append([rate, 0, sensor])
         self.due = 0.0 if self._sensors else math.inf
 
@@ -199,9 +197,13 @@ class LiveMessages:
         return [] if self._on_map is None else [(ON_MAP.name, self._on_map.message(ended=True))]
 
     def tick(self, sample: Sample) -> Messages:
-        """Frames and joints that somebody listens to."""
-        wanted = self._output.wanted
-        return [(topic, encode(sample)) for topic, encode in self._ticks.items() if wanted(topic)]
+        """Frames and joints that are recorded or that somebody listens to."""
+        wanted, all_of_them = self._output.wanted, self._settings.records_all
+        return [
+            (topic, encode(sample))
+            for topic, encode in self._ticks.items()
+            if all_of_them or wanted(topic)
+        ]
 
     def measure(self, sample: Sample) -> Messages:
         """The measurements that are due at the sample's time."""
@@ -215,8 +217,8 @@ class LiveMessages:
             rate, count, sensor = entry
             if count / rate <= sample.time + GRAIN:
                 entry[1] += 1
-                self.measured[sensor.topic] = data = sensor(sample)
-                messages.append((sensor.topic, data))
+                self.measured[sensor.topic.name] = data = sensor(sample)
+                messages.append((sensor.topic.name, data))
         self.due = min(count / rate for rate, count, _ in self._sensors)
         return messages
 

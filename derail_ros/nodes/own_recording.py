@@ -9,6 +9,7 @@ from derail_ros.nodes.parameters import Settings
 from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RecordingError, RunRecorder, absolute, recorded_topics
 from derail_ros.recording.session import Session
+from msg_adapters.topics import ON_MAP, topic_named
 
 
 class OwnRecording:
@@ -61,8 +62,13 @@ class OwnRecording:
         """Record a message."""
         if self._recorder is None:
             return
+        name, known = absolute(topic, self._settings.namespace), topic_named(topic)
         try:
-            self._recorder.write(absolute(topic, self._settings.namespace), stamp, data)
+            if name not in self._recorder.topics:
+                if known is None or known == ON_MAP:  # no player knows its type
+                    return
+                self._recorder.add(name, known)
+            self._recorder.write(name, stamp, data)
         except RecordingError as error:
             self._fail(error)
 

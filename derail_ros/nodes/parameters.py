@@ -279,6 +279,13 @@ SIMULATOR = (
         read_only=True,
         path=True,
     ),
+    Parameter(
+        "record_all",
+        False,
+        "the recording also holds `/tf`, `/tf_static`, `joint_states`, `robot_description` and "
+        "the sensors",
+        read_only=True,
+    ),
     *(parameter for sensor in SENSORS for parameter in _sensor(sensor, **SENSORS[sensor])),
     Parameter(
         "imu_turn_noise",
@@ -319,7 +326,9 @@ RECORDER = _fixed(
     Parameter(
         "topics",
         [],
-        "topics to record, by their names in the table of the simulator; empty: all but `/clock`",
+        "topics to record, by their names in the table of the simulator, such as `/tf` or "
+        "`car_5/odometry`; `all`: all of them and the sensors of all cars, without `/clock`, "
+        "which is recorded only by name; empty: those that `record` holds, and `/diagnostics`",
     ),
     Parameter("stop_when_final", False, "end when the final outcome of the run has been recorded"),
     Parameter(
@@ -397,6 +406,11 @@ class Settings:
         """
         if re.fullmatch(rf"{re.escape(self.prefix)}car_\d+(/.*)?", self.frame_id):
             raise ValueError(f"frame_id must not be a frame of the train, got {self.frame_id!r}")
+
+    @property
+    def records_all(self) -> bool:
+        """Whether the recording holds frames, joints and sensors too."""
+        return bool(self.record and self.record_all)
 
     @property
     def full_name(self) -> str:

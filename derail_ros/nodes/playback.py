@@ -44,6 +44,7 @@ class Playback:
     start, end : times of the log of the first and last message, ns
     base : simulation time over the times of the log
     channels : the topics that are played
+    unmatched : names and patterns of ``exclude`` that the recording has no topic of
     rate : recorded time per wall time
     paused : time stands still
     loop : start again at the end
@@ -78,6 +79,7 @@ class Playback:
             raise BagError(f"{self.bag.path}: no message in it")
         self.start, self.end = span
         self.base = time_base(self.bag)
+        self.unmatched: list[str] = []
         self.channels = self._chosen(topics, exclude)
         self._names = {c.topic for c in self.channels}
         self._latched_names = {c.topic for c in self.channels if c.latched}
@@ -104,17 +106,21 @@ class Playback:
         """The topics that are played."""
         known = [c.topic for c in self.bag.channels if c.topic not in OWN_CLOCK]
 
-        def named(what: str, patterns: Sequence[str]) -> set[str]:
+        def named(patterns: Sequence[str], unmatched: list[str]) -> set[str]:
             found: set[str] = set()
             for pattern in patterns:
                 matches = fnmatch.filter(known, f"/{pattern.lstrip('/')}")
                 if not matches:
-                    have = ", ".join(known)
-                    raise BagError(f"{what}: no topic {pattern} in {self.bag.path}; it has {have}")
+                    unmatched.append(pattern)
                 found |= set(matches)
             return found
 
-        names = (named("topics", topics) or set(known)) - named("exclude", exclude)
+        missing: list[str] = []
+        wanted = named(topics, missing)
+        if missing:
+            have = ", ".join(known)
+            raise BagError(f"topics: no topic {missing[0]} in {self.bag.path}; it has {have}")
+        names = (wanted or set(known)) - named(exclude, self.unmatched)
         if not names:
             raise BagError(f"exclude: nothing of {self.bag.path} is left to play")
         return [c for c in self.bag.channels if c.topic in names]

@@ -67,6 +67,8 @@ class Player(Program):
             )
         except BagError as error:
             raise ValueError(str(error)) from None
+        for pattern in playback.unmatched:
+            self.log.info(f"exclude: the recording has no topic {pattern}")
         self._offset = int(values["start_offset"] * NANOSECONDS)
         length = playback.end - playback.start
         if self._offset > length:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,12 +15,16 @@ from derail_ros.recording.recorder import RecordingError
 from derail_ros.vocabulary.words import count
 from msg_adapters.topics import (
     EVERYWHERE,
+    LIVE_TOPICS,
+    ON_MAP,
+    SENSOR_TOPICS,
     STATE_TOPICS,
     TOPICS,
     Topic,
     check_interfaces,
     rclpy_class,
     rclpy_qos,
+    topic_named,
 )
 
 GONE = 3.0
@@ -30,28 +35,39 @@ RARE = ("collisions", "command_log")
 """Topics on which a run may well send nothing."""
 ROUND = 0.1
 """Wall time after which the loop goes round even if nothing has arrived, s."""
+ALL = "all"
+"""What stands for all topics of the simulator."""
+NEVER = ("/clock", ON_MAP.name)
+"""Topics recorded only by name, or not at all: a player publishes a clock of its own, which a
+recorded one would disturb, and rosbag2's refuses a recording with a type it does not know."""
 
 
 def chosen_topics(names: Sequence[str]) -> list[Topic]:
-    """Topics by their names in the table; without names all but the clock.
+    """Topics by their names in the table; without names those of the simulator's own recording.
 
-    A player publishes a clock of its own, which a recorded one would disturb.
+    ``all`` adds frames, joints and the train's description.
 
     Raises
     ------
     ValueError
         If there is no such topic.
     """
-    if not names:
-        return [topic for topic in TOPICS.values() if topic.name != "/clock"]
-    known = {topic.name.lstrip("/"): topic for topic in TOPICS.values()}
-    topics = []
+    usual = [topic for topic in TOPICS.values() if topic.name not in NEVER]
+    live = [topic for topic in LIVE_TOPICS.values() if topic.name not in NEVER]
+    found = {} if names else {topic.name: topic for topic in usual}
     for name in names:
-        topic = known.get(name.rpartition("/")[2])
-        if topic is None:
-            raise ValueError(f"topics must be among {', '.join(known)}, got {name!r}")
-        topics.append(topic)
-    return topics
+        if name == ALL:
+            found |= {topic.name: topic for topic in (*usual, *live)}
+            continue
+        last = name.rpartition("/")[2]
+        sensor = re.search(r"car_\d+/\w+$", name)
+        topic = topic_named(sensor[0] if sensor else last) or topic_named(f"/{last}")
+        if topic is None or topic == ON_MAP:
+            known = [ALL, *(t.name.lstrip("/") for t in (*TOPICS.values(), *live))]
+            sensors = ", ".join(t.name for t in SENSOR_TOPICS.values())
+            raise ValueError(f"topics must be among {', '.join(known)}, {sensors}, got {name!r}")
+        found[topic.name] = topic
+    return list(found.values())
 
 
 class Recorder(Program):
@@ -67,6 +83,9 @@ class Recorder(Program):
         self._topics = {
             node.resolve_topic_name(t.name): t for t in chosen_topics(values["topics"])
         }
+        self._with_sensors = ALL in values["topics"]
+        for name in [name for name, t in self._topics.items() if not self._installed(t)]:
+            del self._topics[name]
         self._depth = values["depth"]
         self._listener = Listener(self._path, values["storage"], self._topics)
         self._subscriptions: dict[str, Any] = {}
@@ -77,6 +96,26 @@ class Recorder(Program):
         self._published = time.monotonic()
         own = [name for name, topic in self._topics.items() if topic.name in STATE_TOPICS]
         self._twins = TwinWatch(node, own, self.log)
+
+    def _installed(self, topic: Topic) -> bool:
+        try:
+            rclpy_class(topic.msgtype)
+        except (ImportError, AttributeError) as error:
+            self.log.warning(f"{topic.name} is left out: {error}")
+            return False
+        return True
+
+    def _find_sensors(self) -> None:
+        """Take up the sensors of cars that have come; only who publishes knows which."""
+        own = f"{self.node.get_namespace().rstrip('/')}/"
+        for name, kinds in self.node.get_topic_names_and_types():
+            if name in self._topics or not name.startswith(f"{own}car_"):
+                continue
+            topic = topic_named(name.removeprefix(own))
+            if topic is not None and kinds == [topic.msgtype]:
+                self._topics[name] = topic
+                self._listener.add(name, topic)
+                self._subscribe(name)
 
     def _taker(self, name: str) -> Callable[[bytes, Any], None]:
         # rclpy looks at the signature to decide whether to pass the second argument.
@@ -113,6 +152,8 @@ class Recorder(Program):
         if now < self._looked + LOOK_EVERY:
             return
         self._looked = now
+        if self._with_sensors:
+            self._find_sensors()
         for name, topic in self._topics.items():
             offers = [p.qos_profile for p in self.node.get_publishers_info_by_topic(name)]
             if not offers:
@@ -128,8 +169,17 @@ class Recorder(Program):
                 self._subscribe(name, **wanted)
 
     def start(self, stop: Stop) -> None:
-        """Log what is recorded."""
-        self.log.info(f"recording {len(self._subscriptions)} topics to {self._path}")
+        """Log what is recorded, and what is not."""
+        missing = [
+            t.name
+            for t in (*TOPICS.values(), *LIVE_TOPICS.values())
+            if t not in self._topics.values()
+        ]
+        missing += [] if self._with_sensors else ["the sensors"]
+        self.log.info(
+            f"recording {count(len(self._subscriptions), 'topic')} to {self._path}; "
+            f"not recorded: {', '.join(missing)}"
+        )
 
     def work(self) -> float:
         """Record what has arrived."""
@@ -198,7 +248,8 @@ class Recorder(Program):
             missed = {name: c for name, c in report.items() if c["lost"] or c["gaps"]}
             silent = self._silent(report)
             nothing = "" if missed or silent else ", no message missed"
-            self.log.info(f"{count(received, 'message')} received{nothing}")
+            topics = count(sum(counts["received"] > 0 for counts in report.values()), "topic")
+            self.log.info(f"{count(received, 'message')} of {topics} received{nothing}")
             if silent:
                 self.log.warning(f"nothing came on {', '.join(silent)}")
             for name, counts in missed.items():

@@ -7,6 +7,7 @@ publisher, and by the regular times of the state messages.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import time
@@ -20,8 +21,8 @@ from derail_ros.recording.manifest import Manifest
 from derail_ros.recording.recorder import RunRecorder
 from derail_ros.recording.run_messages import Collector
 from msg_adapters.common import NANOSECONDS, stamp_of, stamp_of_bytes
-from msg_adapters.definitions import deserialize
-from msg_adapters.topics import MANIFEST, STATE_TOPICS, Topic
+from msg_adapters.definitions import deserialize, fields_of
+from msg_adapters.topics import EVERYWHERE, MANIFEST, STATE_TOPICS, Topic
 
 HOLD = 2.0
 """Longest wall time for which other messages wait for the train and the track, s."""
@@ -29,6 +30,9 @@ STRAGGLERS = 2.0
 """Wall time for which an old recording stays open for late messages, s."""
 BACKWARD = NANOSECONDS
 """Simulation time that jumps back by more than this has begun anew, ns."""
+FOREIGN = 10 * NANOSECONDS
+"""Other nodes stamp what they send on topics of the whole graph with wall time, ns."""
+TIMED = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
 STOPPED = 5
 """Status in ``derail_msgs/Outcome`` of a run that a command has ended."""
 DESCRIBING = ("consist", "command_log", "outcome")
@@ -43,13 +47,32 @@ PARTICIPANT = 12
 
 
 def message_stamp(topic: Topic, data: bytes, otherwise: int) -> int:
-    """Simulation time of a serialised message, ns; ``otherwise`` if it carries none."""
-    if topic.msgtype == "visualization_msgs/msg/MarkerArray":
-        # After the encapsulation a count, then markers that begin with a header.
-        return stamp_of_bytes(data[:4] + data[8:16]) if len(data) > 24 else otherwise
-    if topic is MANIFEST:
+    """Simulation time of a serialised message, ns; ``otherwise`` if it carries none.
+
+    On a topic of the whole graph a time that is far from ``otherwise``, if that is known, is that
+    of another node.
+    """
+    where = _where_time_is(topic.msgtype)
+    # After the encapsulation a time, or a count and then messages that begin with one.
+    if where == "none" or (where == "array" and len(data) <= 24):
         return otherwise
-    return stamp_of_bytes(data)
+    stamp = stamp_of_bytes(data if where == "first" else data[:4] + data[8:16])
+    return otherwise if otherwise > 0 and is_foreign(topic, stamp, otherwise) else stamp
+
+
+def is_foreign(topic: Topic, stamp: int, now: int) -> bool:
+    """Whether a time (ns) is none of the simulator, whose time is about ``now``."""
+    return topic.name in EVERYWHERE and abs(stamp - now) > FOREIGN
+
+
+@functools.cache
+def _where_time_is(msgtype: str) -> str:
+    """Where in a message its time is: ``first``, first in an ``array``, or ``none``."""
+    kind = fields_of(msgtype)[0][1]
+    if kind in TIMED:
+        return "first"
+    array = kind.endswith("[]") and "/" in kind and fields_of(kind[:-2])[0][1] in TIMED
+    return "array" if array else "none"
 
 
 def message_run(topic: Topic, data: bytes) -> str:
@@ -122,6 +145,16 @@ class _OpenRecording:
         self._hold_until = math.inf
 
     @property
+    def moment(self) -> int:
+        """Simulation time of what carries none, ns; 0 before any is known."""
+        return max([self.last_stamp, *self._starts.values()])
+
+    def add(self, name: str, topic: Topic) -> None:
+        """Take one more topic."""
+        self.recorder.add(name, topic)
+        self.counts[name] = TopicCount()
+
+    @property
     def last_stamp(self) -> int:
         """Latest simulation time of all states, ns."""
         return max(self.last_stamps.values(), default=0)
@@ -153,7 +186,13 @@ class _OpenRecording:
         if self._held is None:
             return
         if now >= self._hold_until or self._awaited <= {name for name, _, _ in self._held}:
-            for message in sorted(self._held, key=lambda m: (m[1], not self.topics[m[0]].latched)):
+            own = [s for n, s, _ in self._held if s and self.topics[n].name not in EVERYWHERE]
+            first = min(own, default=0)
+            held = [
+                (n, first if s == 0 or (own and is_foreign(self.topics[n], s, first)) else s, data)
+                for n, s, data in self._held
+            ]
+            for message in sorted(held, key=lambda m: (m[1], not self.topics[m[0]].latched)):
                 self.recorder.write(*message)
             self._held = None
 
@@ -214,6 +253,12 @@ class Listener:
         self._opened += 1
         return _OpenRecording(path, self.storage, self.topics)
 
+    def add(self, name: str, topic: Topic) -> None:
+        """Take one more topic, under its absolute name, from now on."""
+        self.topics[name] = topic
+        for recording in filter(None, (self._current, self._old)):
+            recording.add(name, topic)
+
     # --- messages ----------------------------------------------------------------------------
 
     def take(self, name: str, data: bytes, info: Mapping[str, Any]) -> None:
@@ -223,7 +268,7 @@ class Listener:
         publisher = info.get("publisher_gid")
         identity = bytes(publisher.get("data", b"") if isinstance(publisher, Mapping) else b"")
         process = identity[:PARTICIPANT]
-        stamp = message_stamp(topic, data, self._current.last_stamp)
+        stamp = message_stamp(topic, data, self._current.moment)
         recording = self._recording_of(topic, message_run(topic, data), stamp, now, process)
         self._alive[process] = now
         number = info.get("publication_sequence_number") or 0

@@ -37,7 +37,7 @@ LATE_WALL = 0.5 * FLUSH_EVERY
 QUEUE_SIZE = 20_000
 """Messages that may wait; beyond, the caller waits: nothing is dropped."""
 
-_CLOSE = object()
+_CLOSE, _ADD = object(), object()
 
 
 class RecordingError(RuntimeError):
@@ -102,6 +102,18 @@ class RunRecorder:
     def _check(self) -> None:
         if self._failure is not None:
             raise RecordingError(f"{self.path}: {self._failure}") from self._failure
+
+    def add(self, name: str, topic: Topic) -> None:
+        """Announce one more topic.
+
+        Raises
+        ------
+        RecordingError
+            If an earlier message could not be written.
+        """
+        self._check()
+        self.topics[name], self.counts[name] = topic, 0
+        self._put((_ADD, 0, (name, topic)))
 
     def write(self, topic: str, stamp: int, data: bytes) -> None:
         """Hand over a message: its topic's name, its time (ns) and its CDR bytes.
@@ -176,8 +188,7 @@ class RunRecorder:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._writer.open()
             connections = {
-                name: add_topic(self._writer, name, topic.msgtype, [bag_qos(topic)])
-                for name, topic in ordered(self.topics)
+                name: self._announce(name, topic) for name, topic in ordered(self.topics)
             }
         except BaseException as error:
             self._failure = error
@@ -190,6 +201,9 @@ class RunRecorder:
             self._failure = error
             with contextlib.suppress(Exception):  # what cannot be written cannot be closed well
                 self._writer.abort()
+
+    def _announce(self, name: str, topic: Topic) -> Any:
+        return add_topic(self._writer, name, topic.msgtype, [bag_qos(topic)])
 
     def _write_all(self, connections: dict[str, Any]) -> None:
         flush_at: float | None = None
@@ -215,7 +229,9 @@ class RunRecorder:
                     self._writer.set_custom_data(CUSTOM_DATA, data)
                 self._writer.close()
                 return
-            if topic is not None:
+            if topic is _ADD:
+                connections[data[0]] = self._announce(*data)
+            elif topic is not None:
                 taken += 1
                 newest = max(newest, stamp)
                 heapq.heappush(waiting, (stamp, taken, now, topic, data))

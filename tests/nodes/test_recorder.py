@@ -27,7 +27,7 @@ from derail_ros.recording.listener import Listener
 from derail_ros.recording.storage import BagError, open_bag
 from msg_adapters.common import TIME_ZERO
 from msg_adapters.definitions import deserialize
-from msg_adapters.topics import STATE_TOPICS, TOPICS
+from msg_adapters.topics import LIVE_TOPICS, ON_MAP, STATE_TOPICS, TOPICS
 from tests.nodes.graph import DEEP, LIMIT_COMPILING, graph
 from tests.nodes.support import SMALL
 
@@ -62,7 +62,9 @@ def on_disk(bag: Path) -> set[str]:
 def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> None:
     """The same bytes at the same times on every topic, from the first message to the last."""
     with graph(tmp_path) as made:
-        heard = made.start("recorder", path=tmp_path / "heard", stop_when_final=True)
+        heard = made.start(
+            "recorder", path=tmp_path / "heard", stop_when_final=True, topics="[all]"
+        )
         simulator = made.simulator(
             ready=False,
             scenario="small",
@@ -71,6 +73,8 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
             await_listeners=1,
             auto_exit=True,
             record=tmp_path / "own",
+            record_all=True,
+            odometry="1-2",
             **DEEP,
         )
         assert simulator.wait() == 0, simulator.output
@@ -91,6 +95,15 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
         assert [stamp for stamp, _ in first[f"/{name}"]] == [
             TIME_ZERO + 20_000_000 * k for k in range(len(first[f"/{name}"]))
         ]
+    # What is asked for besides: latched ones as they are, frames and joints of the same moments.
+    for name in ("/robot_description", "/tf_static"):
+        assert [a for _, a in first[name]] and len(first[name]) == len(second[name]) == 1
+    for name in ("/tf", "/joint_states"):
+        assert [at for at, _ in first[name]] == [at for at, _ in second[name]], name
+        assert len(first[name]) == len(first["/train_state"])
+    for name in ("/car_1/odometry", "/car_2/odometry"):
+        own_stamps = [at for at, _ in second[name]]
+        assert {at for at, _ in first[name]} <= set(own_stamps) and own_stamps[0] == TIME_ZERO
     # Diagnostics come once a second of wall time: not in every run as short as this.
     assert "/markers" in first
     last = first["/train_state"][-1][0]
@@ -111,7 +124,8 @@ def test_what_it_hears_is_what_the_simulator_records(tmp_path, scenarios) -> Non
         qos = {c.topic: c.ext.offered_qos_profiles[0].durability for c in reader.connections}
         order = [c.topic for c in reader.connections]
     assert qos["/consist"] is QosDurability.TRANSIENT_LOCAL
-    assert qos["/train_state"] is QosDurability.VOLATILE
+    assert qos["/robot_description"] is qos["/tf_static"] is QosDurability.TRANSIENT_LOCAL
+    assert qos["/train_state"] is qos["/tf"] is QosDurability.VOLATILE
     assert order.index("/outcome") < order.index("/car_poses")
 
 
@@ -200,8 +214,13 @@ def test_a_place_that_is_taken_is_one_clear_line(tmp_path) -> None:
 def test_topics_by_their_names() -> None:
     assert {t.name for t in chosen_topics([])} == set(TOPICS) - {"/clock"}
     assert [t.name for t in chosen_topics(["/yard/energy", "clock"])] == ["energy", "/clock"]
-    with pytest.raises(ValueError, match="topics must be among"):
-        chosen_topics(["speed"])
+    every = {t.name for t in chosen_topics(["all"])}
+    assert every == (set(TOPICS) | set(LIVE_TOPICS)) - {"/clock", ON_MAP.name}
+    few = chosen_topics(["/tf", "/yard/car_5/odometry", "robot_description"])
+    assert [t.name for t in few] == ["/tf", "car_5/odometry", "robot_description"]
+    for name in ("speed", "car_5/speed", "car_0/odometry", "geojson"):
+        with pytest.raises(ValueError, match="topics must be among"):
+            chosen_topics([name])
 
 
 def test_the_demonstration_ends_by_itself(tmp_path, scenarios) -> None:
