@@ -250,7 +250,7 @@ def _open_files(
         raise NotABagError(f"{path}: the recording is empty")
     if reason:
         bag.intact = False
-        bag.warn(f"incomplete ({reason}): read what is there; derail repair makes it whole")
+        bag.warn(f"incomplete ({reason}): reading what is there; derail repair completes it")
     return bag
 
 

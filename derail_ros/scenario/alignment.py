@@ -338,7 +338,7 @@ def fit_alignment(points: F64, tolerance: float = 0.01) -> Alignment:
     steps = np.diff(points[:, :2], axis=0)
     chord = np.hypot(*steps.T)
     if not chord.min() > 1e-3:
-        raise FitError(f"vertex {int(np.argmin(chord)) + 2}: is the vertex before it")
+        raise FitError(f"vertex {int(np.argmin(chord)) + 2}: repeats the vertex before it")
     ahead = (steps[:-1] * steps[1:]).sum(axis=1)
     if (ahead < 0.0).any() and chord.min() > 4.0 * tolerance:
         raise FitError(f"vertex {int(np.argmin(ahead)) + 2}: the line turns back on itself")

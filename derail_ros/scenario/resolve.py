@@ -470,7 +470,7 @@ def _lengths(
             body = pivots + inset
     if block.length_over_couplers_m is not None:
         if block.coupler_pivots_m is not None:
-            reason = "coupler_pivots_m is given too: one of the two decides"
+            reason = "coupler_pivots_m is given too: give one of the two"
             raise Refusal((*path, "length_over_couplers_m"), reason)
         pivots = block.length_over_couplers_m - faces
         return _first(block.length_m, pivots + inset), pivots
@@ -495,7 +495,7 @@ def _mass(
         raise Refusal((*path, "empty_mass_kg"), reason)
     if block.mass_kg is not None:
         if block.load is not None:
-            raise Refusal((*path, "load"), "mass_kg is given too: one of the two decides")
+            raise Refusal((*path, "load"), "mass_kg is given too: give one of the two")
         if empty is None or loaded is None or empty == loaded:
             return block.mass_kg, None
         return block.mass_kg, min(max((block.mass_kg - empty) / (loaded - empty), 0.0), 1.0)

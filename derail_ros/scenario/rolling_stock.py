@@ -50,7 +50,7 @@ def check_car_type(kind: CarType, path: Place) -> None:
         if getattr(kind, key) is None:
             raise Refusal((*path, key), "is required")
     if kind.coupler_pivots_m is not None and kind.length_over_couplers_m is not None:
-        reason = "length_over_couplers_m is given too: one of the two decides"
+        reason = "length_over_couplers_m is given too: give one of the two"
         raise Refusal((*path, "coupler_pivots_m"), reason)
     span = [kind.empty_mass_kg, kind.loaded_mass_kg]
     if kind.mass_kg is not None:

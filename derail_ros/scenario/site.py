@@ -90,7 +90,7 @@ def check_outline(points: Sequence[Point], closed: bool) -> tuple[int, str] | No
                 "latitude exchanged?"
             )
         if k and math.dist(points[k - 1], (x, y)) < 1e-3:
-            return k, "is the vertex before it"
+            return k, "repeats the vertex before it"
     if closed and math.dist(points[0], points[-1]) < 1e-3:
         return n - 1, "is the first vertex again: a polygon closes by itself"
     edges = n if closed else n - 1
@@ -147,7 +147,7 @@ def check_site(model: ScenarioModel) -> None:
                 _check_zone(part, path)
     for key in ("zones", "fixed", "standing"):
         if model.model != "planar" and getattr(model.site, key):
-            raise Refusal(("site", key), f"the model {model.model} knows none")
+            raise Refusal(("site", key), f"the model {model.model} does not compute it")
 
 
 def _check_zone(zone: ZoneSpec, path: Path) -> None:
@@ -155,7 +155,7 @@ def _check_zone(zone: ZoneSpec, path: Path) -> None:
     ways = [*(["preset"] if zone.preset else []), *(["factor"] if zone.factor is not None else [])]
     ways += own[:1]
     if len(ways) > 1:
-        raise Refusal((*path, ways[1]), f"goes with {ways[0]} no more: give one of them")
+        raise Refusal((*path, ways[1]), f"cannot be given with {ways[0]}: give one of them")
     if (zone.rise_percent != 0.0) != (zone.uphill_deg is not None):
         missing = "uphill_deg" if zone.uphill_deg is None else "rise_percent"
         raise Refusal((*path, missing), "is required: a slope has a rise and a direction")
@@ -227,7 +227,7 @@ def add_alignment(data: dict[str, Any], file: str, content: bytes) -> list[str]:
     for key in ("alignment", "grades", "start_x_m", "start_y_m", "start_heading_rad"):
         if track.get(key):
             raise ScenarioError(
-                file, None, f"track.{key}", "comes from the file: give one of both"
+                file, None, f"track.{key}", "comes from the file too: give one of the two"
             )
     if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance <= 100.0:
         reason = f"must be above 0 and at most 100, got {shown(tolerance)}"
@@ -502,7 +502,7 @@ def _geometry(
         raise ScenarioError(file, None, place, reason)
     rings = geometry.get("coordinates")
     if kind == "Polygon" and isinstance(rings, list) and len(rings) > 1:
-        raise ScenarioError(file, None, place, "has a hole: give the polygon without")
+        raise ScenarioError(file, None, place, "has a hole: give a polygon without holes")
     ring = rings[0] if kind == "Polygon" and rings else rings
     points: list[list[float]] = []
     for k, vertex in enumerate(ring if isinstance(ring, list) else ()):

@@ -125,7 +125,7 @@ def run_study(
             journal.sync()
             if journal.missing:
                 raise StudyError(
-                    f"{count(journal.missing, 'run')} did not come back; run it again"
+                    f"{count(journal.missing, 'run')} did not come back; run the study again"
                 )
             runs = with_points(design, journal.table())
             manifest |= {
