@@ -336,7 +336,7 @@ def export_world(
     free = int(world.free.sum())
     print(f"{output}: {count(len(world.bodies), 'car')}, {free} free, at {world.time:.2f} s")
     if found.model == PLANAR and free:
-        note("derail: a planar run lets cars overlap: they move apart in such a world")
+        note("derail: cars of a planar run may overlap; in the world they move apart")
     return OK
 
 

@@ -92,7 +92,7 @@ def test_grades_from_heights_exact_and_noisy():
         (points(BEND, 50.0, 10.0), "needs at least 8 points"),
         (
             points(BEND, 1200.0, 10.0)[[*range(30), 29, *range(30, 120)]],
-            "vertex 31: is the vertex",
+            "vertex 31: repeats the vertex",
         ),
         (
             points(BEND, 1200.0, 10.0)[[*range(30), 40, *range(31, 120)]],

@@ -197,7 +197,7 @@ def test_a_wrong_reference_system_is_refused(tmp_path):
     [
         ("outline_m: [[0, 0], [9, 9], [9, 0], [0, 9]]", "outline_m.2: the edge from here crosses"),
         ("outline_m: [[0, 0], [9, 9]]", "outline_m.1: a polygon needs at least 3"),
-        ("outline_m: [[0, 0], [9, 0], [9, 0], [0, 9]]", "outline_m.2: is the vertex before"),
+        ("outline_m: [[0, 0], [9, 0], [9, 0], [0, 9]]", "outline_m.2: repeats the vertex before"),
         ("outline_m: [[0, 0], [9, 0], [0, 9], [0, 0]]", "outline_m.3: is the first vertex"),
         ("outline_m: [[0, 0], [9, 0], [4, 0], [0, 9]]", "outline_m.1: the outline turns back"),
         ("outline_m: [[0, 0], [9e5, 0], [4, 9]]", "outline_m.1: lies 900 km"),
