@@ -220,7 +220,7 @@ class Stage:
                 text.set_text(words.force(told[k].peak_force))
                 text.xy = (told[k].x, told[k].y)
         self.clock.set_text(f"{time:.2f} s")
-        line = derailed(int((scene.derailed & scene.real).sum()))
+        line = derailed(int((scene.derailed & scene.real & scene.own).sum()))
         hardest = float(scene.peak_force.max(initial=0.0))
         if hardest > 0.0:
             line += f", largest force {words.force(hardest)}"

@@ -53,7 +53,8 @@ class Stage3D(Stage):
                 "and set MUJOCO_GL"
             ) from None
         self._camera = mujoco.MjvCamera()
-        off = scene_at(run, float(run.time[-1])).derailed
+        last = scene_at(run, float(run.time[-1]))
+        off = last.derailed & last.own
         shown = world.place[off] if off.any() else world.place[:3]
         self._camera.lookat[:] = shown.mean(axis=0)
         size = float(np.ptp(shown[:, :2], axis=0).max()) + 15.0
@@ -75,11 +76,12 @@ class Stage3D(Stage):
     def show(self, time: float) -> None:
         """Show a time (s)."""
         place, turn = places(self.run, self._bodies, time)
-        state = scene_at(self.run, time).state
+        scene = scene_at(self.run, time)
+        state = scene.state
         self._model.geom_rgba[self._shells, :3] = np.array(COLOURS)[state]
         self._data.mocap_pos[:], self._data.mocap_quat[:] = place, turn
         self._mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         self._image.set_data(self._renderer.render())
         self.clock.set_text(f"{time:.2f} s")
-        self.facts.set_text(derailed(int(scene_at(self.run, time).derailed.sum())))
+        self.facts.set_text(derailed(int((scene.derailed & scene.own).sum())))

@@ -18,12 +18,17 @@ from derail_ros.review.world import (
     COLOURS,
     GROUND_COLOUR,
     RAIL_COLOUR,
+    SLOPE_COLOUR,
+    WALL_COLOUR,
+    WEDGE,
     bed,
     bodies,
     ground_level,
     part_mesh,
     places,
     rails,
+    slopes,
+    walls,
 )
 from derail_ros.vocabulary.events import EventKind
 from derail_ros.vocabulary.status import CERTAIN_RUPTURE_FORCE
@@ -111,6 +116,13 @@ class View:
             scene.add_box(f"/bed/{k}", color=tuple(int(255 * v) for v in BED_COLOUR),
                           dimensions=slab.size, position=slab.at, wxyz=slab.turn,
                           cast_shadow=False)  # fmt: skip
+        for k, slab in enumerate(walls(self.run)):
+            scene.add_box(f"/walls/{k}", color=tuple(int(255 * v) for v in WALL_COLOUR),
+                          dimensions=slab.size, position=slab.at, wxyz=slab.turn)  # fmt: skip
+        for k, wedge in enumerate(slopes(self.run)):
+            scene.add_mesh_simple(f"/slopes/{k}", wedge.astype(np.float32),
+                                  WEDGE.astype(np.uint32), flat_shading=True, cast_shadow=False,
+                                  color=tuple(int(255 * v) for v in SLOPE_COLOUR))  # fmt: skip
         scene.add_line_segments(
             "/rails", rails(self.run, first, last),
             tuple(int(255 * v) for v in RAIL_COLOUR), thickness=0.15,
@@ -173,7 +185,8 @@ class View:
     def _wreck(self) -> tuple[NDArray[np.float64], float]:
         """Middle and size of where the derailed cars come to rest, m."""
         place, _ = places(self.run, self.bodies, self.last)
-        off = scene_at(self.run, self.last).derailed
+        scene = scene_at(self.run, self.last)
+        off = scene.derailed & scene.own
         shown = place[off] if off.any() else place[:3]
         size = float(np.ptp(shown[:, :2], axis=0).max()) + 15.0
         return shown.mean(axis=0), size
@@ -216,7 +229,8 @@ class View:
     def words(self) -> str:
         """Time, cars derailed and the last event, in Markdown."""
         run = self.run
-        off = int(scene_at(run, self.time).derailed.sum())
+        scene = scene_at(run, self.time)
+        off = int((scene.derailed & scene.own).sum())
         told = [
             e for e in run.events
             if e.time <= self.time and e.kind != EventKind.BRAKE_SIGNAL_REACHED

@@ -1,7 +1,8 @@
 """A moment of a recorded run as bodies in space, and as a world for other simulators.
 
-A world holds each car as its shapes with mass and friction, the ground with the bed of the track,
-and the rails to look at.
+A world holds each car as its shapes with mass and friction, the ground with the beds of the
+tracks, fixed bodies as upright slabs along their edges, zones that rise over the ground as wedges
+(but not in SDF, which has no shape for them), and the rails to look at.
 Cars on the rails are fixed; derailed ones are free. Couplings are left out.
 """
 
@@ -19,7 +20,9 @@ from derail_ros.review.scene import scene_at
 from derail_ros.vocabulary import shapes
 from derail_ros.vocabulary.params import GRAVITY, GroundParams
 from derail_ros.vocabulary.sample import quaternions
+from derail_ros.vocabulary.scene import car_corners
 from derail_ros.vocabulary.shapes import Part, gravity_height, kind_of, parts
+from derail_ros.vocabulary.site import in_plane, zone_slope
 
 if TYPE_CHECKING:
     from derail_ros.recording.recorded_run import RecordedRun
@@ -31,6 +34,10 @@ COLOURS = ((0.42, 0.47, 0.53), (0.90, 0.62, 0.0), (0.84, 0.37, 0.0))
 RAIL_COLOUR = (0.35, 0.33, 0.32)
 GROUND_COLOUR = (0.72, 0.70, 0.64)
 BED_COLOUR = (0.60, 0.58, 0.55)
+WALL_COLOUR = (0.55, 0.52, 0.50)
+SLOPE_COLOUR = (0.60, 0.62, 0.50)
+WALL_THICK = 0.3
+"""Of fixed bodies as they are drawn, m."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +77,30 @@ def places(run: RecordedRun, found: list[Body], time: float) -> tuple[F64, F64]:
 
 
 def rails(run: RecordedRun, left: float, right: float, step: float = 5.0) -> F64:
-    """Pieces of both rails between two track coordinates (m): (pieces, 2, 3)."""
+    """Pieces of the rails of all tracks, the main one between two coordinates: (pieces, 2, 3)."""
     s = np.arange(left, right + step, step)
     points = np.array([run.line.point(float(at)) for at in s])
-    normal = np.stack([-np.sin(points[:, 2]), np.cos(points[:, 2])], axis=-1)
+    return np.concatenate(
+        [_rails(points[:, :2], points[:, 2])]
+        + [_rails(line, _headings(line)) for line in second_tracks(run)]
+    )
+
+
+def second_tracks(run: RecordedRun) -> list[F64]:
+    """Centre lines (K, 2) of the second tracks, m."""
+    return [shape.points for shape in run.site.shapes(run.line) if shape.role == "track"]
+
+
+def _headings(line: F64) -> F64:
+    return np.asarray(np.arctan2(*np.gradient(line, axis=0).T[::-1]))
+
+
+def _rails(points: F64, heading: F64) -> F64:
+    """Pieces of the two rails beside a line of places (K, 2) and headings (rad)."""
+    normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     found = []
     for side in (shapes.HALF_GAUGE, -shapes.HALF_GAUGE):
-        xy = points[:, :2] + side * normal
+        xy = points + side * normal
         line = np.column_stack([xy, np.full(len(xy), -0.5 * shapes.RAIL_HEIGHT)])
         found.append(np.stack([line[:-1], line[1:]], axis=1))
     return np.concatenate(found)
@@ -100,7 +124,7 @@ class Slab:
 
 
 def bed(run: RecordedRun, left: float, right: float) -> list[Slab]:
-    """The track bed between two track coordinates (m): its top and its two sides.
+    """The bed of the main track between two coordinates (m), and of the others: tops and sides.
 
     Only where the model has one: cars of the planar model lie at the height of the rails.
     """
@@ -119,7 +143,10 @@ def bed(run: RecordedRun, left: float, right: float) -> list[Slab]:
     pieces = 1 if run.line.straight else max(1, round((right - left) / 10.0))
     ends = [run.line.point(float(s))[:2] for s in np.linspace(left, right, pieces + 1)]
     found = []
-    for (ax, ay), (bx, by) in zip(ends, ends[1:], strict=False):
+    chords = list(zip(ends, ends[1:], strict=False))
+    for line in second_tracks(run):
+        chords += zip(line.tolist(), line.tolist()[1:], strict=False)
+    for (ax, ay), (bx, by) in chords:
         yaw, length = np.arctan2(by - ay, bx - ax), np.hypot(bx - ax, by - ay)
         for width, height, aside, z, roll in parts:
             x = 0.5 * (ax + bx) - aside * np.sin(yaw)
@@ -132,6 +159,95 @@ def bed(run: RecordedRun, left: float, right: float) -> list[Slab]:
 def ground_level(run: RecordedRun) -> float:
     """Height of the ground beside the track over the rail, m."""
     return -shapes.RAIL_HEIGHT - (0.0 if run.model == "planar" else shapes.BED_HEIGHT)
+
+
+def walls(run: RecordedRun) -> list[Slab]:
+    """Fixed bodies: an upright slab along each edge."""
+    found = []
+    for shape in run.site.shapes(run.line):
+        if shape.role != "fixed":
+            continue
+        ends = shape.points.tolist()
+        if shape.closed:
+            ends.append(ends[0])
+        z = ground_level(run) + 0.5 * shape.height
+        for (ax, ay), (bx, by) in zip(ends, ends[1:], strict=False):
+            yaw, length = np.arctan2(by - ay, bx - ax), np.hypot(bx - ax, by - ay)
+            size = (float(length), WALL_THICK, shape.height)
+            found.append(Slab(size, (0.5 * (ax + bx), 0.5 * (ay + by), z), 0.0, float(yaw)))
+    return found
+
+
+def entered(slab: Slab, cars: F64) -> bool:
+    """One of the outlines (N, 4, 2) of cars and the slab's share a place."""
+    size = np.array([slab.size[:2]])
+    own = car_corners(np.array([[*slab.at[:2], slab.yaw]]), size[:, 0], size[:, 1])[0]
+    for corners in cars:
+        apart = False
+        for shape in (own, corners):
+            for axis in (shape[0] - shape[1], shape[0] - shape[2]):
+                p, q = own @ axis, corners @ axis
+                apart = apart or p.max() < q.min() or q.max() < p.min()
+        if not apart:
+            return True
+    return False
+
+
+def slopes(run: RecordedRun) -> list[F64]:
+    """Zones that rise over the ground, as wedges (6, 3): a triangle on the ground, one above it.
+
+    Only where the model follows heights. What lies below the ground is left out.
+    """
+    found: list[F64] = []
+    if run.model == "planar":
+        return found
+    ground = ground_level(run)
+    for zone in run.site.zones:
+        slope = zone_slope(zone, run.line, run.site.border)
+        if slope.highest <= 0.0:
+            continue
+        for corners in _triangles(in_plane(zone, run.line)):
+            rise = np.maximum(corners @ np.array(zone.rise) - slope.base, 0.0)
+            if rise.max() > 0.05:
+                low = np.column_stack([corners, np.full(3, ground - 0.1)])
+                found.append(
+                    np.concatenate([low, low + [0.0, 0.0, 0.1] + np.outer(rise, [0, 0, 1])])
+                )
+    return found
+
+
+WEDGE = np.array([
+    (0, 2, 1), (3, 4, 5), (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5)
+])  # fmt: skip
+"""Triangles of a wedge, seen from outside, by its corners."""
+
+
+def _triangles(outline: F64) -> list[F64]:
+    """A polygon cut into triangles (3, 2), ear by ear, each counter-clockwise."""
+    x, y = outline.T
+    if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() < 0.0:
+        outline = outline[::-1]
+    left = outline.tolist()
+    found = []
+
+    def turn(a: Any, b: Any, c: Any) -> float:
+        return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+    while len(left) > 3:
+        for k in range(len(left)):
+            a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
+            inside = any(
+                min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) >= 0.0
+                for p in left
+                if p not in (a, b, c)
+            )
+            if turn(a, b, c) > 0.0 and not inside:
+                found.append(np.array([a, b, c]))
+                del left[k]
+                break
+        else:
+            break  # only slivers are left
+    return [*found, np.array(left[:3])]
 
 
 def _text(*values: float) -> str:
@@ -153,6 +269,8 @@ class World:
     bed: list[Slab]
     ground: float  # height over the rail, m
     friction: float
+    walls: list[Slab]
+    slopes: list[F64]
 
     @classmethod
     def of(cls, run: RecordedRun, time: float) -> World:
@@ -165,11 +283,14 @@ class World:
         friction = ground.get("c_d", default.c_d) * ground.get("scale", default.scale)
         along = [run.line.locate(float(x), float(y))[0] for x, y in place[:, :2]]
         first, last = min(along) - 20.0, max(along) + 40.0
+        outlines = car_corners(scene.pose, scene.length, scene.width + shapes.WIDER)
         return cls(
             title=run.title, time=time, bodies=found, place=place, turn=turn,
             free=scene.derailed & (run.cars.represents == 1), state=scene.state,
             rails=rails(run, first, last), bed=bed(run, first, last), ground=ground_level(run),
-            friction=float(friction),
+            friction=float(friction), slopes=slopes(run),
+            # an edge into which a car has gone would throw it out
+            walls=[slab for slab in walls(run) if not entered(slab, outlines)],
         )  # fmt: skip
 
     # --- formats -----------------------------------------------------------------------------
@@ -206,11 +327,22 @@ class World:
             world, "geom", name="ground", type="plane", size="0 0 1",
             pos=_text(x, y, self.ground), rgba=_text(*GROUND_COLOUR, 1), **earth,
         )  # fmt: skip
-        for k, slab in enumerate(self.bed):
+        slabs = [(f"bed {k}", slab, BED_COLOUR) for k, slab in enumerate(self.bed)]
+        slabs += [(f"wall {k}", slab, WALL_COLOUR) for k, slab in enumerate(self.walls)]
+        for name, slab, colour in slabs:
             ET.SubElement(
-                world, "geom", name=f"bed {k}", type="box", pos=_text(*slab.at),
+                world, "geom", name=name, type="box", pos=_text(*slab.at),
                 quat=_text(*slab.turn), size=_text(*(0.5 * v for v in slab.size)),
-                rgba=_text(*BED_COLOUR, 1), **earth,
+                rgba=_text(*colour, 1), **earth,
+            )  # fmt: skip
+        for k, wedge in enumerate(self.slopes):
+            middle = wedge.mean(axis=0)
+            ET.SubElement(
+                assets, "mesh", name=f"slope {k}", vertex=_text(*(wedge - middle).ravel())
+            )
+            ET.SubElement(
+                world, "geom", name=f"slope {k}", type="mesh", mesh=f"slope {k}",
+                pos=_text(*middle), rgba=_text(*SLOPE_COLOUR, 1), **earth,
             )  # fmt: skip
         for k, (start, end) in enumerate(self.rails):
             ET.SubElement(
@@ -271,12 +403,14 @@ class World:
         ET.SubElement(plane, "normal").text = "0 0 1"
         ET.SubElement(plane, "size").text = "2000 2000"
         self._shape(ground, "ground", geometry, None, self.friction, GROUND_COLOUR)
-        for k, slab in enumerate(self.bed):
+        slabs = [(f"bed_{k}", slab, BED_COLOUR) for k, slab in enumerate(self.bed)]
+        slabs += [(f"wall_{k}", slab, WALL_COLOUR) for k, slab in enumerate(self.walls)]
+        for name, slab, colour in slabs:
             box = ET.Element("geometry")
             ET.SubElement(ET.SubElement(box, "box"), "size").text = _text(*slab.size)
             at = np.subtract(slab.at, (0.0, 0.0, self.ground))
             pose = _text(*at, slab.roll, 0.0, slab.yaw)
-            self._shape(ground, f"bed_{k}", box, pose, self.friction, BED_COLOUR)
+            self._shape(ground, name, box, pose, self.friction, colour)
         for body, place, turn, free, state in self._rows():
             link = self._model(world, f"car_{body.number}", place, turn, not free)
             inertial = ET.SubElement(link, "inertial")
@@ -356,13 +490,19 @@ class World:
             [*(0.5 * (low + high)), self.ground - 0.05]
         )
         scene.add_geometry(ground, node_name="ground", geom_name="ground", transform=up @ at)
-        for k, slab in enumerate(self.bed):
+        slabs = [(f"bed {k}", slab, BED_COLOUR) for k, slab in enumerate(self.bed)]
+        slabs += [(f"wall {k}", slab, WALL_COLOUR) for k, slab in enumerate(self.walls)]
+        for name, slab, colour in slabs:
             mesh = trimesh.creation.box(extents=slab.size)
-            mesh.visual.face_colors = [*(255.0 * np.array(BED_COLOUR)), 255]
+            mesh.visual.face_colors = [*(255.0 * np.array(colour)), 255]
             at = trimesh.transformations.quaternion_matrix(slab.turn)
             at[:3, 3] = slab.at
-            name = f"bed {k}"
             scene.add_geometry(mesh, node_name=name, geom_name=name, transform=up @ at)
+        for k, wedge in enumerate(self.slopes):
+            mesh = trimesh.Trimesh(wedge, WEDGE)
+            mesh.visual.face_colors = [*(255.0 * np.array(SLOPE_COLOUR)), 255]
+            name = f"slope {k}"
+            scene.add_geometry(mesh, node_name=name, geom_name=name, transform=up)
         return bytes(scene.export(file_type="glb"))
 
 

@@ -21,7 +21,7 @@ FASTEST = 200.0
 
 def doubts(resolved: Resolved) -> tuple[str, ...]:
     """The unlikely values of a scenario, a sentence each."""
-    return (*_cars(resolved), *_run(resolved))
+    return (*_cars(resolved), *_run(resolved), *_heights(resolved))
 
 
 def _cars(resolved: Resolved) -> Iterator[str]:
@@ -43,6 +43,16 @@ def _odd(block: Block, length: float) -> Iterator[str]:
             yield f"{shown(value)} {unit}: no car is as {low} as that"
         elif value > most:
             yield f"{shown(value)} {unit}: no car is as {high} as that"
+
+
+def _heights(resolved: Resolved) -> Iterator[str]:
+    """Heights of fixed bodies that are assumed, where the model reads them."""
+    model = resolved.model
+    if model.model == "spatial" and model.site is not None:
+        for body in model.site.fixed:
+            if "height_m" not in body.model_fields_set:
+                assumed = f"{shown(body.height_m)} m over the ground are assumed"
+                yield f"site.fixed: {body.name}: no height_m is given; {assumed}"
 
 
 def _run(resolved: Resolved) -> Iterator[str]:

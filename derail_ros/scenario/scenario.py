@@ -50,6 +50,7 @@ from derail_ros.scenario.strict_yaml import (
 )
 from derail_ros.scenario.units import canonical, field_of
 from derail_ros.vocabulary.params import PLANAR, CouplerType, TrainParams
+from derail_ros.vocabulary.site import WALL_HEIGHT
 from derail_ros.vocabulary.train import TrainTotals, train_totals
 
 V = TypeVar("V")
@@ -754,6 +755,9 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
                 del plain[name]
     data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
     data["train"]["car_types"] = {}
+    for body in (data.get("site") or {}).get("fixed") or ():
+        if body["height_m"] == WALL_HEIGHT:
+            del body["height_m"]  # came later too
     for j, cut in enumerate(resolved.cuts):
         blocks = [_block_data(block) for entry in cut for block in entry]
         data["site"]["standing"][j]["consist"] = blocks

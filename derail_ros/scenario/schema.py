@@ -39,6 +39,7 @@ from derail_ros.vocabulary.params import (
     TrackParams,
     TractionParams,
 )
+from derail_ros.vocabulary.site import WALL_HEIGHT
 
 FORMAT_VERSION = 1
 """Version of the scenario format that this code reads and writes."""
@@ -1109,6 +1110,9 @@ class FixedSpec(Outlined):
         "whole; null: never",
         gt=0,
         le=1e12,
+    )
+    height_m: Number = _field(
+        WALL_HEIGHT, "m", "over the ground, in model spatial; the default is assumed", gt=0, le=500
     )
 
 

@@ -146,7 +146,7 @@ def check_site(model: ScenarioModel) -> None:
             if key == "zones":
                 _check_zone(part, path)
     for key in ("zones", "fixed", "standing"):
-        if model.model != "planar" and getattr(model.site, key):
+        if model.model not in ("planar", "spatial") and getattr(model.site, key):
             raise Refusal(("site", key), f"the model {model.model} does not compute it")
 
 
@@ -179,6 +179,7 @@ def site_of(site: Site, ground: Ground) -> SiteParams:
                 **_outline(body),
                 force=math.inf if body.yields_at_N is None else body.yields_at_N,
                 energy=math.inf if body.takes_J is None else body.takes_J,
+                height=body.height_m,
             )
             for body in site.fixed
         ),

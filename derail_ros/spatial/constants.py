@@ -16,6 +16,8 @@ COUPLER_MASS = 200.0
 """Of a coupler, kg; taken from its car's [A]."""
 COUPLER_ROLL = 200.0
 """Roll inertia of a coupler, kg m^2 [A]."""
+LOOSE_STIFFNESS, LOOSE_DAMPING = 0.2e6, 6.0e3
+"""What brings a parted coupler back into its pocket, N/m, N s/m: near critical [A]."""
 PITCH_STIFFNESS = 3.0e6
 """Of a coupler against its car, N m/rad: mated heads in line carry about 3 MN of buff [A]."""
 PITCH_DAMPING = 0.1e6

@@ -15,7 +15,12 @@ what acts in the plane (strikers, knuckles, brakes, grades, resistance, locomoti
   ``N = max(k u - c v . n, 0)``, and the planar model's reaction (``laws.ground``) to N against
   what of v is along it. ``k`` and ``c`` are an eighth of GROUND_STIFFNESS and GROUND_DAMPING times
   the car's mass: eight points carry one that stands;
-- contacts between cars, their forces summed by pair.
+- the ground's shape: the beds of all tracks, and zones that rise or fall (``terrain``). Where
+  there are slopes, ``N = k u / n_z`` with u upright: the force is then minus the gradient of
+  ``k u^2 / 2`` whatever the shape, and a face stops what runs into it;
+- draft gear: each rear coupler slides in its car under ``forces.draft_gear``'s force;
+- guidance: a derailed truck's rail (``forces.guidance``), at the height of its wheels;
+- contacts between cars, their forces summed by pair. Walls: ``derail_ros.spatial.walls``.
 
 The work of a force over a step is its value times the mean of the velocities at both ends, which
 is exact for a semi-implicit Euler step with constant inertia.
@@ -33,14 +38,17 @@ from derail_ros.engine.arrays import F64, I64, U8, Model, Rows, State, Work
 from derail_ros.engine.events import note_coupling_forces, note_progress
 from derail_ros.engine.forces.along import along_forces
 from derail_ros.engine.forces.brakes import brake_forces
+from derail_ros.engine.forces.draft_gear import gear_force
 from derail_ros.engine.forces.ground import ground_forces
 from derail_ros.engine.forces.pushes import push_forces
-from derail_ros.engine.forces.track import break_passed
+from derail_ros.engine.forces.track import askew_load, break_passed, locate_on, standing
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
+from derail_ros.engine.laws.draft_gear import loading_energy
 from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.joint import joint_energy, joint_moment
 from derail_ros.engine.laws.knuckle import knuckle_energy, knuckle_moment
 from derail_ros.engine.laws.striker import spring_energy, spring_force
+from derail_ros.engine.outlines import from_edge, holds
 from derail_ros.engine.track import locate
 from derail_ros.spatial import constants as c
 from derail_ros.vocabulary.shapes import (
@@ -108,6 +116,17 @@ class Space(NamedTuple):
     count: I64  # (2,) touches, found
     found: Rows  # (F,) FOUND
     height: F64  # (K, 2) height and vertical normal of each collision's peak
+    crest: F64  # (1,) height of the highest ground over the rail, m
+    rise: F64  # (Z, 2) of each zone: r . p0, and how wide its edge is, m
+    lines: I64  # (T, 2) rows of ``Model.side`` of each second track
+    along: F64  # (N, 2, 1 + T) each truck's coordinate on the main track and on second ones
+    sides: F64  # (N, 2, T, 3) its offset from second tracks, and their normals
+    soil: F64  # (7,) scratch: c_s, c_d, eps, c_v; height, its slope along x and y
+    wall: F64  # (N, 6) wrench of the fixed bodies; 0 rows without any
+    tops: F64  # (B,) height of each fixed body over the rail, m
+    round: U8  # (N,) the car is a tank
+    span: F64  # (N, 4) scratch: lowest and highest point of its body, and of its trucks
+    level: F64  # (N,) height at which fixed bodies push it, m
 
 
 pointers.register(Space)
@@ -227,6 +246,28 @@ def _push(
 
 
 @inner_jit
+def _other_tracks(
+    model: Model, state: State, space: Space, i: int, k: int, x: float, y: float
+) -> None:
+    """Offsets of a truck off the rails from the tracks whose beds it may meet; all of them."""
+    if standing(model, i):
+        s, d, heading, _, _ = locate(model.track, x, y, space.along[i, k, 0])
+        space.along[i, k, 0] = s
+        space.beside[i, k, 0] = d
+        space.beside[i, k, 1] = -math.sin(heading)
+        space.beside[i, k, 2] = math.cos(heading)
+    if state.truck_on[i, 0] and state.truck_on[i, 1]:
+        return
+    for t in range(space.lines.shape[0]):
+        line = model.side[space.lines[t, 0] : space.lines[t, 1]]
+        s, d, heading, _, _ = locate(line, x, y, space.along[i, k, 1 + t])
+        space.along[i, k, 1 + t] = s
+        space.sides[i, k, t, 0] = d
+        space.sides[i, k, t, 1] = -math.sin(heading)
+        space.sides[i, k, t, 2] = math.cos(heading)
+
+
+@inner_jit
 def _rails(model: Model, state: State, work: Work, space: Space, h: float) -> None:
     """Springs of the trucks on the rails, and which trucks leave them."""
     keep_separate()
@@ -244,14 +285,22 @@ def _rails(model: Model, state: State, work: Work, space: Space, h: float) -> No
             x = space.xpos[b, 0] + rx
             y = space.xpos[b, 1] + ry
             work.truck_s[i, k] = state.truck_s[i, k]
-            if straight:
+            other = standing(model, i)
+            if other:
+                s, d, heading, _, _ = locate_on(model, i, x, y, state.truck_s[i, k])
+            elif straight:
                 s, d, heading = x, y, 0.0
             else:
                 s, d, heading, _, _ = locate(model.track, x, y, state.truck_s[i, k])
             state.truck_s[i, k] = s
-            space.beside[i, k, 0] = d
-            space.beside[i, k, 1] = -math.sin(heading)
-            space.beside[i, k, 2] = math.cos(heading)
+            nx = -math.sin(heading)
+            ny = math.cos(heading)
+            if space.lines.shape[0] > 0:
+                _other_tracks(model, state, space, i, k, x, y)
+            if not other:
+                space.beside[i, k, 0] = d
+                space.beside[i, k, 1] = nx
+                space.beside[i, k, 2] = ny
             state.rail_force[i, k] = 0.0
             space.wheel[i, k, 0] = 0.0
             space.wheel[i, k, 1] = 0.0
@@ -261,8 +310,6 @@ def _rails(model: Model, state: State, work: Work, space: Space, h: float) -> No
             lifted = False
             spring = 0.0
             lost = 0.0
-            nx = space.beside[i, k, 1]
-            ny = space.beside[i, k, 2]
             if not flat:
                 load = 0.0
                 lifted = True
@@ -294,7 +341,10 @@ def _rails(model: Model, state: State, work: Work, space: Space, h: float) -> No
             cause = -1
             value = math.nan
             passed = break_passed(model, state, work, i, k)
-            quotient = abs(force) / max(load, row.weight)
+            sideways = abs(force)
+            if model.par[0].truck_play != 0.0:
+                sideways += askew_load(model, state, state.q, state.coupler_force, i, k)
+            quotient = sideways / max(load, row.weight)
             if not math.isnan(passed):
                 cause = BREAK
                 value = passed
@@ -357,6 +407,100 @@ def _couplers(model: Model, state: State, work: Work, space: Space) -> None:
 
 
 @inner_jit
+def _slide(space: Space, i: int) -> int:
+    """Degree of freedom along which the rear coupler of car ``i`` slides, with draft gear."""
+    return int(space.body[i].hinge_rear) + (1 if space.flat[0] else 2)
+
+
+@inner_jit
+def _travel(space: Space, i: int) -> float:
+    """How much longer than in the middle of its slack the rear coupler of car ``i`` is, m."""
+    return space.qpos[_place(space, i, _slide(space, i))]
+
+
+@inner_jit
+def _gear_energy(model: Model, k: int, x: float) -> float:
+    """Energy in the draft gear of coupling ``k`` at the travel ``x`` (m), J."""
+    link = model.link[k]
+    u = abs(x) - 0.5 * link.slack
+    if u <= 0.0:
+        return 0.0
+    hard = max(u - link.travel, 0.0)
+    line = loading_energy(u, link.preload, link.stiffness, link.transition)
+    return link.unloading * line + 0.5 * link.solid * hard * hard
+
+
+@jit
+def gear_energy(model: Model, state: State, space: Space) -> float:
+    """Energy now in the draft gears, J."""
+    total = 0.0
+    for k in range(state.coupled.shape[0]):
+        if state.coupled[k]:
+            total += _gear_energy(model, k, _travel(space, k))
+    return total
+
+
+@inner_jit
+def _gears(model: Model, state: State, work: Work, space: Space, h: float) -> None:
+    """Draft gears between the cars and their rear couplers; parted ones go back to the middle."""
+    keep_separate()
+    lost = 0.0
+    for k in range(state.q.shape[0]):
+        joint = _slide(space, k)
+        x = _travel(space, k)
+        rate = space.qvel[joint]
+        if k == state.coupled.shape[0] or state.coupled[k] == 0:
+            space.qfrc[joint] = -c.LOOSE_STIFFNESS * x - c.LOOSE_DAMPING * rate
+            continue
+        tension, back, share = gear_force(model, state, k, x)
+        space.qfrc[joint] = -tension
+        lost += (tension - back) * rate
+        if h > 0.0:
+            row = state.coupling[k]
+            row.travel0 = row.travel
+            row.share0 = row.share
+            row.travel = x
+            row.share = share
+    work.power[layout.E_GEAR] = lost
+
+
+@inner_jit
+def _guide(model: Model, state: State, work: Work, space: Space, h: float) -> None:
+    """Rails beside derailed trucks (``forces.guidance``), until they have broken out.
+
+    At the height of the rails, while the truck's wheels are not above them.
+    """
+    keep_separate()
+    par = model.par[0]
+    reach = par.guide_play + par.guide_strength / par.guide_stiffness
+    v = space.velocity
+    lost = 0.0
+    for i in range(state.q.shape[0]):
+        b = int(space.body[i].body)
+        for k in range(2):
+            if state.truck_on[i, k] or state.loose[i, k]:
+                continue
+            arm = model.car[i].truck if k == 0 else -model.car[i].truck
+            rx, ry, rz = _turn(space, b, arm, 0.0, -space.body[i].height)
+            x = space.xpos[b, 0] + rx
+            y = space.xpos[b, 1] + ry
+            _, d, heading, _, _ = locate_on(model, i, x, y, state.truck_s[i, k])
+            if abs(d) > reach and h > 0.0:
+                state.loose[i, k] = 1
+            over = abs(d) - par.guide_play
+            if over <= 0.0 or state.loose[i, k] or space.xpos[b, 2] + rz > 0.0:
+                continue
+            f = -math.copysign(min(par.guide_stiffness * over, par.guide_strength), d)
+            nx = -math.sin(heading)
+            ny = math.cos(heading)
+            _push(space, b, rx, ry, rz, f * nx, f * ny, 0.0)
+            vx = v[i, 0] + v[i, 4] * rz - v[i, 5] * ry
+            vy = v[i, 1] + v[i, 5] * rx - v[i, 3] * rz
+            lost -= f * (nx * vx + ny * vy)
+    work.power[layout.E_GUIDANCE] = lost
+
+
+@inner_jit
 def _couplings(model: Model, state: State, work: Work, space: Space) -> None:
     """Moments of the knuckles; which couplings part by angle, tension or vertical slip.
 
@@ -406,6 +550,8 @@ def _couplings(model: Model, state: State, work: Work, space: Space) -> None:
         if cause >= 0:
             state.coupled[i] = 0
             space.eq_active[i] = False
+            if model.par[0].gear != 0.0:
+                energy += _gear_energy(model, i, _travel(space, i))
             state.energy[layout.E_KNUCKLE] += energy
             _find(space, PARTED, i + 1, i + 2, cause, value)
             continue
@@ -472,6 +618,76 @@ def ground_height(d: float) -> tuple[float, float]:
 
 
 @inner_jit
+def _share(d: float, border: float) -> tuple[float, float]:
+    """How much of a zone a place has that lies ``d`` (m) within it, and its change with d."""
+    if d >= 0.5 * border:
+        return 1.0, 0.0
+    if d <= -0.5 * border:
+        return 0.0, 0.0
+    t = d / border + 0.5
+    return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / border
+
+
+@inner_jit
+def _zones(model: Model, space: Space, x: float, y: float) -> None:
+    """Constants of the ground at a place, its height over the level ground and its slope.
+
+    Into ``space.soil``. The height of a zone is ``r . p - rise[0]``.
+    """
+    par = model.par[0]
+    soil = space.soil
+    soil[0] = par.ground_cs
+    soil[1] = par.ground_cd
+    soil[2] = max(par.ground_eps, c.GROUND_EPS)
+    soil[3] = par.ground_cv
+    soil[4] = 0.0
+    soil[5] = 0.0
+    soil[6] = 0.0
+    for z in range(model.zone.shape[0]):
+        row = model.zone[z]
+        wide = space.rise[z, 1]
+        half = 0.5 * wide
+        if not (row.x0 - half < x < row.x1 + half and row.y0 - half < y < row.y1 + half):
+            continue
+        first = int(row.first)
+        last = int(row.last)
+        best = first
+        least = math.inf
+        foot = 0.0
+        for k in range(first, last):
+            d2, at, _ = from_edge(model.outline, k, x, y)
+            if d2 < least:
+                least = d2
+                best = k
+                foot = at
+        d = math.sqrt(least)
+        sign = 1.0 if holds(model.outline, first, last, x, y) else -1.0
+        edge = model.outline[best]
+        nx = -edge.uy
+        ny = edge.ux
+        if d > 1e-9:
+            nx = sign * (x - edge.x - foot * edge.ux) / d
+            ny = sign * (y - edge.y - foot * edge.uy) / d
+        share, _ = _share(sign * d, par.border)
+        soil[0] += share * (row.c_s - soil[0])
+        soil[1] += share * (row.c_d - soil[1])
+        soil[2] += share * (max(row.eps, c.GROUND_EPS) - soil[2])
+        soil[3] += share * (row.c_v - soil[3])
+        share, change = _share(sign * d, wide)
+        more = row.rise_x * x + row.rise_y * y - space.rise[z, 0] - soil[4]
+        soil[5] += share * (row.rise_x - soil[5]) + change * nx * more
+        soil[6] += share * (row.rise_y - soil[6]) + change * ny * more
+        soil[4] += share * more
+
+
+@jit
+def terrain(model: Model, space: Space, x: float, y: float) -> float:
+    """Height of the zones at a place over the level ground, m."""
+    _zones(model, space, x, y)
+    return float(space.soil[4])
+
+
+@inner_jit
 def _ground(model: Model, state: State, space: Space) -> None:
     """The ground's wrench on each car that is off the rails, and its loads.
 
@@ -479,7 +695,13 @@ def _ground(model: Model, state: State, space: Space) -> None:
     """
     keep_separate()
     par = model.par[0]
-    eps = max(par.ground_eps, c.GROUND_EPS)
+    soil = space.soil
+    soil[0] = par.ground_cs
+    soil[1] = par.ground_cd
+    soil[2] = max(par.ground_eps, c.GROUND_EPS)
+    soil[3] = par.ground_cv
+    zones = model.zone.shape[0] > 0
+    sloped = par.slopes != 0.0
     for kind in range(2):
         for i in range(state.q.shape[0]):
             space.load[i, kind] = 0.0
@@ -498,7 +720,7 @@ def _ground(model: Model, state: State, space: Space) -> None:
             point = space.points[i, k]
             rx, ry, rz = _turn(space, b, point[0], point[1], point[2])
             z = space.xpos[b, 2] + rz
-            if z - point[3] > -RAIL_HEIGHT:
+            if z - point[3] > space.crest[0]:
                 continue
             end = 0 if point[0] >= 0.0 else 1
             arm = model.car[i].truck if end == 0 else -model.car[i].truck
@@ -507,12 +729,29 @@ def _ground(model: Model, state: State, space: Space) -> None:
             ly = space.beside[i, end, 2]
             d = space.beside[i, end, 0] + (rx - tx) * lx + (ry - ty) * ly
             level, slope = ground_height(d)
+            for t in range(space.lines.shape[0]):
+                mx = space.sides[i, end, t, 1]
+                my = space.sides[i, end, t, 2]
+                d = space.sides[i, end, t, 0] + (rx - tx) * mx + (ry - ty) * my
+                bed, fall = ground_height(d)
+                if bed > level:
+                    level, slope, lx, ly = bed, fall, mx, my
             up = 1.0 / math.sqrt(1.0 + slope * slope)
             depth = point[3] - (z - level) * up
-            if depth <= 0.0:
-                continue
             nx = -slope * up * lx
             ny = -slope * up * ly
+            if zones:
+                _zones(model, space, space.xpos[b, 0] + rx, space.xpos[b, 1] + ry)
+                if sloped:
+                    gx = slope * lx + soil[5]
+                    gy = slope * ly + soil[6]
+                    up = 1.0 / math.sqrt(1.0 + gx * gx + gy * gy)
+                    nx = -gx * up
+                    ny = -gy * up
+                    high = point[3] * min(1.0 / up, 1.5)
+                    depth = (level + soil[4] - z + high) / up
+            if depth <= 0.0:
+                continue
             rx -= point[3] * nx
             ry -= point[3] * ny
             rz -= point[3] * up
@@ -527,7 +766,7 @@ def _ground(model: Model, state: State, space: Space) -> None:
             vy -= leaving * ny
             vz -= leaving * up
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-            g = load * drag(speed, par.ground_cs, par.ground_cd, eps, par.ground_cv)
+            g = load * drag(speed, soil[0], soil[1], soil[2], soil[3])
             g = min(par.ground_scale * g, c.GROUND_HOLD * model.car[i].mass / c.TIME_STEP)
             fx = load * nx - g * vx
             fy = load * ny - g * vy
@@ -667,6 +906,12 @@ def gather(
                     space.wrench[kind, i, k] * 0.5 * (space.before[i, k] + space.velocity[i, k])
                 )
         state.energy[work[kind]] += h * total
+    if space.wall.shape[0] > 0:
+        total = 0.0
+        for i in range(n):
+            for k in range(6):
+                total -= space.wall[i, k] * 0.5 * (space.before[i, k] + space.velocity[i, k])
+        state.energy[layout.E_FIXED] += h * total
 
 
 @inner_jit
@@ -834,6 +1079,10 @@ def push(model: Model, state: State, work: Work, space: Space, h: float) -> None
     work.report[:] = 0.0
     work.power[:] = 0.0
     _couplers(model, state, work, space)
+    if model.par[0].gear != 0.0:
+        _gears(model, state, work, space, h)
+    if model.par[0].guide_strength != 0.0:
+        _guide(model, state, work, space, h)
     _couplings(model, state, work, space)
     _plane(model, state, work, space, h)
     _ground(model, state, space)

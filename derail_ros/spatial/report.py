@@ -49,6 +49,7 @@ def make_sample(
         off = 2 - int(front) - int(rear)
         if off:
             truck[i, on[i] == 0] = space.wrench[0, i, :2] / off
+    travel = np.where(coupled.astype(bool), s.coupling["travel"], 0.0)
     return Sample.make(
         t,
         run.step_count,
@@ -70,8 +71,8 @@ def make_sample(
         relative_angle=q[:-1, 4] - q[1:, 3],
         knuckle_moment=r[:-1, layout.R_KNUCKLE].copy(),
         coupler_force=s.coupler_force.copy(),
-        collision_force=space.wrench[2, :, :2].copy(),
-        collision_moment=space.wrench[2, :, 5].copy(),
+        collision_force=space.wrench[2, :, :2] + (space.wall[:, :2] if len(space.wall) else 0.0),
+        collision_moment=space.wrench[2, :, 5] + (space.wall[:, 5] if len(space.wall) else 0.0),
         external_force=r[:, layout.R_EXTERNAL : layout.R_EXTERNAL + 2].copy(),
         external_moment=r[:, layout.R_EXTERNAL + 2].copy(),
         energy=energy,
@@ -79,7 +80,10 @@ def make_sample(
             "load_on_rails_N": space.wheel.sum(axis=(1, 2)),
             "load_on_ground_N": space.load.sum(axis=1),
         },
-        couplings={"coupler_vertical_force_N": space.coupler_lift.copy()},
+        couplings={
+            "coupler_vertical_force_N": space.coupler_lift.copy(),
+            **({"draft_gear_travel_m": travel} if run.params.couplings.gear.on else {}),
+        },
     )
 
 
@@ -122,7 +126,7 @@ def make_outcome(
             "pile_height_m": float(top[derailed].max()) if derailed.any() else 0.0,
             "cars_spilled": float(((lean > c.SPILLS) & derailed & opened & loaded).sum()),
             "real_time_factor": run.real_time_factor,
-            "largest_roll_rad": float(np.abs(pose[:, 3]).max()),
+            "largest_roll_rad": float(np.abs(pose[: run.params.n_train, 3]).max()),
         },
         car_values={"roll_rad": pose[:, 3].copy(), "tilt_rad": lean, "top_m": top},
     )

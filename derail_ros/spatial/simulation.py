@@ -10,21 +10,24 @@ import hashlib
 import math
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from derail_ros.engine import layout, saving
-from derail_ros.engine.arrays import make_work
-from derail_ros.engine.build import build_model, initial_state, require, validate
+from derail_ros.engine.arrays import State, make_work
+from derail_ros.engine.build import build_model, initial_state, validate
 from derail_ros.engine.forces.along import potential_energy
 from derail_ros.engine.forces.brakes import apply_brakes
 from derail_ros.engine.serial import pack, unpack
 from derail_ros.engine.simulation import PlanarSimulation
+from derail_ros.engine.site import site_outcome
+from derail_ros.engine.standing import side_lines
 from derail_ros.engine.track import Track
 from derail_ros.spatial import constants as c
-from derail_ros.spatial import kernels
+from derail_ros.spatial import kernels, walls
 from derail_ros.spatial.kernels import Space
 from derail_ros.spatial.report import make_outcome, make_sample
 from derail_ros.spatial.scene import mjcf
@@ -34,7 +37,8 @@ from derail_ros.vocabulary.events import Collision, Event, EventKind
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.params import TrainParams
 from derail_ros.vocabulary.sample import Sample
-from derail_ros.vocabulary.site import SiteParams
+from derail_ros.vocabulary.shapes import BED_HEIGHT, RAIL_HEIGHT
+from derail_ros.vocabulary.site import zone_slope
 from derail_ros.vocabulary.status import ENDS
 
 CAUSES = (
@@ -49,17 +53,10 @@ SAVED = (
 )  # fmt: skip
 """Arrays of ``Space`` that are part of the state."""
 
+GROUND_LEVEL = -RAIL_HEIGHT - BED_HEIGHT
+"""Of the ground beside the track bed over the rail, m."""
 TOUCHES = 4096
 """Room for pairs of cars in contact at once."""
-
-
-def refuse(params: TrainParams) -> None:
-    """Refuse what this engine does not compute, naming the field."""
-    where = f"is not computed by model: {params.model}"
-    require(not params.couplings.gear.on, "couplings.draft_gear", where)
-    require(params.site == SiteParams() and not params.standing, "site", where)
-    for name in ("guide_strength", "truck_play"):
-        require(getattr(params.derailment, name) == 0.0, f"derailment.{name}", where)
 
 
 class SpatialSimulation(PlanarSimulation):
@@ -68,7 +65,7 @@ class SpatialSimulation(PlanarSimulation):
     Raises
     ------
     ParameterError
-        A parameter is out of its range, does not fit the others, or is none of this engine's.
+        A parameter is out of its range or does not fit the others.
     """
 
     flat = False
@@ -77,7 +74,6 @@ class SpatialSimulation(PlanarSimulation):
 
     def __init__(self, params: TrainParams) -> None:
         validate(params)
-        refuse(params)
         self.params = params
         self.track = Track(params.track)
         self._model = build_model(params, self.track)
@@ -93,13 +89,19 @@ class SpatialSimulation(PlanarSimulation):
             mjcf(params, self._bodies, self.time_step, self.flat)
         )
         self._data = mujoco.MjData(self._mj)
+        self._sited = bool(params.site.fixed or params.site.areas)
+        self._seen_model = self._model
+        if self._sited:
+            self._seen_model = self._model._replace(car=self._model.car.copy())
         self._space = self._make_space()
+        self._seen_q, self._seen_v = self._state.q.copy(), self._state.v.copy()
         self._make_work()
         self._start()
 
     def _make_work(self) -> None:
         n = self.n_cars
-        self._work = make_work(n, 1, 16 * n + 2 * len(self._model.unit) + 64, True)
+        rows = 16 * n + 2 * len(self._model.unit) + 64
+        self._work = make_work(n, 1, rows, True, len(self._model.fixed))
 
     def _make_space(self) -> Space:
         n, d, m = self.n_cars, self._data, self._mj
@@ -162,7 +164,33 @@ class SpatialSimulation(PlanarSimulation):
             count=np.zeros(2, np.int64),
             found=np.zeros(4 * n + TOUCHES, kernels.FOUND),
             height=np.zeros((len(self._state.contact), 2)),
+            **self._place(),
         )
+
+    def _place(self) -> dict[str, Any]:
+        """The arrays of ``Space`` that belong to the site."""
+        n, params, site = self.n_cars, self.params, self.params.site
+        slopes = [zone_slope(zone, self.track, site.border) for zone in site.zones]
+        ends = np.cumsum([0, *(len(line.pieces) for line in side_lines(params))])
+        lines = list(zip(ends, ends[1:], strict=False))
+        along = np.zeros((n, 2, 1 + len(lines)))
+        sides = [self.track, *side_lines(params)] if lines else []
+        for j, line in enumerate(sides):
+            for i, (x, y) in enumerate(self._state.q[:, :2]):
+                along[i, :, j] = line.locate(float(x), float(y))[0]
+        return {
+            "crest": np.array([max([0.0, *(s.highest for s in slopes)]) - RAIL_HEIGHT]),
+            "rise": np.array([(s.base, s.edge) for s in slopes]).reshape(-1, 2),
+            "lines": np.array(lines, dtype=np.int64).reshape(-1, 2),
+            "along": along,
+            "sides": np.zeros((n, 2, len(lines), 3)),
+            "soil": np.zeros(7),
+            "wall": np.zeros((n if site.fixed else 0, 6)),
+            "tops": np.array([body.height for body in site.fixed]) + GROUND_LEVEL,
+            "round": np.array([body.kind.tank for body in self._bodies], np.uint8),
+            "span": np.zeros((n, 4)),
+            "level": np.zeros(n),
+        }
 
     def _start(self) -> None:
         s, space, d = self._state, self._space, self._data
@@ -182,8 +210,10 @@ class SpatialSimulation(PlanarSimulation):
                 joint = int(row[name])
                 d.qpos[joint + shift] = s.q[i, 3 + end] - yaw
                 d.qvel[joint] = s.v[i, 3 + end] - s.v[i, 2]
-        for number in self.params.initiation.parted_couplings:
-            d.eq_active[number - 1] = False
+            if self._model.par["gear"][0] and i < len(s.coupling):
+                slide = int(row["hinge_rear"]) + (1 if self.flat else 2)
+                d.qpos[slide + shift] = s.coupling["travel"][i]
+        d.eq_active[:] = s.coupled
         self._announce()
         mujoco.mj_step1(self._mj, d)
         self._model.par["datum"] = potential_energy(self._model, s, s.q)
@@ -196,7 +226,18 @@ class SpatialSimulation(PlanarSimulation):
     def _evaluate(self) -> bool:
         """Forces of the state as it stands."""
         kernels.push(self._model, self._state, self._work, self._space, 0.0)
+        self._strike(0.0)
         return True
+
+    def _view(self) -> State:
+        """The state with the cars' outlines from above, for what the site does."""
+        return self._state._replace(q=self._seen_q, v=self._seen_v)
+
+    def _strike(self, h: float) -> None:
+        """Forces of fixed bodies, and who is where, after a step of ``h`` s (0: anew)."""
+        if self._sited:
+            seen, view = self._seen_model, self._view()
+            walls.strike(self._model, seen, view, self._work, self._space, h)
 
     def _stored(self) -> float:
         """Kinetic, elastic and potential energy, J."""
@@ -210,12 +251,17 @@ class SpatialSimulation(PlanarSimulation):
         if self._model.par["profile"][0]:
             height += potential_energy(self._model, self._state, self._state.q)
             height -= self._model.par["datum"][0]
+        gear = {}
+        if self._model.par["gear"][0]:
+            stored = kernels.gear_energy(self._model, self._state, self._space)
+            gear = {"draft_gear": float(stored)}
         return {
             "kinetic": float(self._data.energy[1]),
             "striker": float(ledger[kernels.STRIKERS]),
             "knuckle": float(ledger[kernels.KNUCKLES]),
             "suspension": float(ledger[kernels.SPRINGS]),
             "potential": float(height),
+            **gear,
         }
 
     def _keep(self) -> None:
@@ -250,7 +296,7 @@ class SpatialSimulation(PlanarSimulation):
     def _step(self) -> None:
         m, d, s, space = self._mj, self._data, self._state, self._space
         model, work, h = self._model, self._work, self.time_step
-        if int(s.cnt["contacts"][0]) + TOUCHES > len(s.contact):
+        if int(s.cnt["contacts"][0]) + TOUCHES + len(s.struck) > len(s.contact):
             self._state = s = saving.grown_contacts(s)
             height = np.zeros((len(s.contact), 2))
             height[: len(space.height)] = space.height
@@ -274,6 +320,8 @@ class SpatialSimulation(PlanarSimulation):
                 Event(EventKind.RUN_FAILED, self.time, self.step_count, cause=reason)
             )
             raise NonFiniteStateError(f"{reason} at t = {self.time:.6f} s", self)
+        if not self.ended:
+            self._strike(h)
         if space.count[1]:
             for row in space.found[: int(space.count[1])]:
                 self._note(row)
@@ -299,7 +347,8 @@ class SpatialSimulation(PlanarSimulation):
                 EventKind.TRUCK_DERAILED, (car,), truck=(car - 1, other), end=ENDS[other],
                 cause=cause, value=value,
             )  # fmt: skip
-            if cause == "lateral force" and self.params.derailment.break_follows_lateral:
+            follows = self.params.derailment.break_follows_lateral and car <= self.params.n_train
+            if cause == "lateral force" and follows:
                 place = float(s.truck_s[car - 1, other])
                 s.breaks[np.flatnonzero(np.isinf(s.breaks))[0]] = place
                 self._add_event(EventKind.RAIL_BREAK_SET, cause=cause, track_coordinate=place)
@@ -308,7 +357,7 @@ class SpatialSimulation(PlanarSimulation):
                 EventKind.COUPLER_PARTED, (car, other), cause=CAUSES[int(row["cause"])], x=x, y=y,
                 z=z, value=value,
             )  # fmt: skip
-            if self.params.brakes.vent_on_parting:
+            if self.params.brakes.vent_on_parting and car < self.params.n_train:
                 at = float(self._model.car["distance"][car - 1 : car + 1].mean())
                 apply_brakes(self._model, s, at, layout.ARR_CONV, self.time)
                 self._add_event(EventKind.BRAKES_TRIGGERED, (car, other), cause="vented", value=at)
@@ -353,13 +402,29 @@ class SpatialSimulation(PlanarSimulation):
         for key, column in known.items():
             if not key.startswith("stabilization"):
                 entries[key] = float(s.energy[column])
+        par = self._model.par[0]
+        for key, column, on in (
+            ("draft_gear_friction", layout.E_GEAR, par["gear"]),
+            ("guidance", layout.E_GUIDANCE, par["guide_strength"]),
+            ("slopes", layout.E_SLOPE, par["slopes"] and self.flat),
+            ("fixed_bodies", layout.E_FIXED, len(self._model.fixed)),
+        ):
+            if on:
+                entries[key] = float(s.energy[column])
         entries["suspension_dampers"] = float(self._space.ledger[kernels.DAMPERS])
         entries["residual"] = residual(entries)
         return entries
 
     def outcome(self) -> Outcome:
         """Result of the run so far."""
-        return make_outcome(self, super().outcome(), self._space, self._bodies, self.ledger())
+        plane = super().outcome()
+        if self._sited:
+            plane = replace(plane, site=site_outcome(self._seen_from_above()))
+        return make_outcome(self, plane, self._space, self._bodies, self.ledger())
+
+    def _seen_from_above(self) -> Any:
+        """The run as the planar engine's reports on the site read it."""
+        return SimpleNamespace(params=self.params, _model=self._seen_model, _state=self._view())
 
     @property
     def real_time_factor(self) -> float:
@@ -374,6 +439,12 @@ class SpatialSimulation(PlanarSimulation):
         state = np.empty(mujoco.mj_stateSize(self._mj, kind))
         mujoco.mj_getState(self._mj, self._data, state, kind)
         arrays = {name: getattr(self._space, name) for name in SAVED}
+        for name, on in (
+            ("wall", self.params.site.fixed), ("along", self.params.tracks),
+            ("level", self.params.site.fixed),
+        ):  # fmt: skip
+            if on:
+                arrays[name] = getattr(self._space, name)
         touches, contacts = int(self._space.count[0]), int(self._state.cnt["contacts"][0])
         arrays["touch"] = np.array(arrays["touch"][:touches].tolist(), dtype=float)
         arrays["height"] = arrays["height"][:contacts]
@@ -420,6 +491,7 @@ class SpatialSimulation(PlanarSimulation):
         kernels.push(self._model, self._state, work, space, 0.0)
         self._state.q[:], self._state.v[:], self._state.a[:] = plane
         self._state.power[:], space.ledger[:] = power, ledger
+        self._strike(0.0)
         self._data.qfrc_applied[:] = applied
 
     def copy(self) -> SpatialSimulation:

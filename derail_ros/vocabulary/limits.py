@@ -52,7 +52,7 @@ def _above(which: str, forces: Sequence[float], level: float, bearer: str, why: 
 
 
 def limits(outcome: Outcome, line: Line) -> list[str]:
-    """Curves, cars dragged in line, and no collision: each a sentence, most outcomes have none."""
+    """Curves, cars dragged in line, places in three dimensions: a sentence each, mostly none."""
     found = []
     radius = math.inf
     dragged: list[int] = []
@@ -74,5 +74,13 @@ def limits(outcome: Outcome, line: Line) -> list[str]:
             f"{cars(dragged)} {'is' if one else 'are'} off the rails but in line with the track; "
             f"{'it counts' if one else 'they count'} as derailed, and {'adds' if one else 'add'} "
             "to the scene's length"
+        )
+    site = outcome.site
+    if math.isfinite(outcome.values.get("pile_height_m", math.nan)) and (
+        outcome.standing.cars or (site is not None and (site.fixed or site.zones))
+    ):
+        found.append(
+            "walls, ground zones and standing cars in three dimensions were compared with closed "
+            "forms of single cars, and with no accident"
         )
     return found

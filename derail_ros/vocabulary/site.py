@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Outline = tuple[tuple[float, float], ...]
 
+WALL_HEIGHT = 5.0
+"""Of a fixed body over the ground, m, where a scenario names none [A]: more than a car is high, so
+that cars do not pass over it. Read in three dimensions only."""
 CHORD = 5.0
 """Beside curved track an edge is divided into chords of at most this along the track, m."""
 
@@ -57,6 +60,7 @@ class FixedBody:
     closed : a polygon, or else a chain of segments
     force : with which one corner of a car pushes it in, N; infinite: rigid
     energy : after which it gives way for good, J: each segment of a chain, a polygon as a whole
+    height : over the ground beside the track, m; in three dimensions
     """
 
     name: str
@@ -65,6 +69,7 @@ class FixedBody:
     force: float = math.inf
     energy: float = math.inf
     beside: bool = False
+    height: float = field(default=WALL_HEIGHT, metadata={"left_out_at_default": True})
 
 
 @dataclass(frozen=True)
@@ -101,6 +106,48 @@ def in_plane(part: GroundZone | FixedBody | Area, line: Line) -> NDArray[np.floa
 
 
 @dataclass(frozen=True)
+class Slope:
+    """The ground of a zone in three dimensions: ``r . p - base`` over the level ground, m.
+
+    ``highest``: its highest place, m, at least 0; ``edge``: within how much it comes back to the
+    ground around it, m.
+    """
+
+    base: float
+    highest: float
+    edge: float
+
+
+def zone_slope(zone: GroundZone, line: Line, border: float) -> Slope:
+    """The slope of a zone: level with the ground around it where it is nearest to the track.
+
+    Of several such places the lowest. Where the track crosses the zone they lie on the track.
+    """
+    import numpy as np
+
+    if not any(zone.rise):
+        return Slope(0.0, 0.0, border)
+    corners = in_plane(zone, line)
+    ends = np.concatenate([corners, corners[:1]])
+    steps = [max(2, math.ceil(math.dist(a, b)) + 1) for a, b in zip(ends, ends[1:], strict=False)]
+    places = np.concatenate(
+        [np.linspace(a, b, n) for a, b, n in zip(ends, ends[1:], steps, strict=False)]
+    )
+    offset = np.array([line.locate(float(x), float(y))[1] for x, y in places])
+    cross = np.flatnonzero(offset[:-1] * offset[1:] < 0.0)
+    if len(cross):
+        share = offset[cross] / (offset[cross] - offset[cross + 1])
+        on = places[cross] + share[:, None] * (places[cross + 1] - places[cross])
+        places, offset = np.concatenate([places, on]), np.append(offset, np.zeros(len(on)))
+    rise = np.array(zone.rise)
+    base = float((places[np.abs(offset) <= np.abs(offset).min() + 0.01] @ rise).min())
+    height = corners @ rise - base
+    return Slope(
+        base, max(0.0, float(height.max())), max(border, 0.25 * float(np.abs(height).max()))
+    )
+
+
+@dataclass(frozen=True)
 class Shape:
     """A part of the place as pictures show it; ``role``: "zone", "fixed", "area" or "track"."""
 
@@ -108,6 +155,7 @@ class Shape:
     name: str
     closed: bool
     points: NDArray[np.float64]  # (V, 2) x, y, m
+    height: float = 0.0  # of a fixed body over the ground, m
 
 
 @dataclass(frozen=True)
@@ -134,7 +182,13 @@ class SiteParams:
             *(("area", self.areas), ("track", self.tracks)),
         )
         return tuple(
-            Shape(role, part.name, bool(getattr(part, "closed", True)), in_plane(part, line))
+            Shape(
+                role,
+                part.name,
+                bool(getattr(part, "closed", True)),
+                in_plane(part, line),
+                float(getattr(part, "height", 0.0)),
+            )  # fmt: skip
             for role, parts in named
             for part in parts
         )

@@ -108,7 +108,6 @@ def test_what_cannot_be_meant_is_refused_by_its_field():
         ("start_y_m: 40", "offset_m: 3"): r"site.tracks.2: .*exactly one of offset_m and",
         ("consist: [{car: own}]", "consist: [{car: owl}]"): r"site.standing.1.consist.0.car",
         ("speed_kmh: 50", "speed_kmh: 50\n  virtual_from: 2"): r"site.standing: .*virtual_from",
-        ("version: 1", "version: 1\nmodel: spatial"): r"site.standing: the model spatial",
     }
     for (before, after), told in cases.items():
         assert BEND.count(before) == 1, before

@@ -30,6 +30,7 @@ from derail_ros.vocabulary.shapes import (
     BED_HALF_WIDTH,
     BED_HEIGHT,
     BED_SLOPE,
+    CAR_STIFFNESS,
     GROUND_STIFFNESS,
     HALF_GAUGE,
     RAIL_HEIGHT,
@@ -279,11 +280,26 @@ def test_in_the_plane_it_moves_as_the_planar_engine():
     assert flat.pose[:, :2] == pytest.approx(planar.pose[:, :2], abs=0.15)
 
 
-def test_what_it_does_not_compute_is_refused():
-    params = train()
-    couplings = replace(params.couplings, gear=replace(params.couplings.gear, on=True))
-    with pytest.raises(ParameterError, match=r"couplings.draft_gear: .*model: spatial"):
-        SpatialSimulation(replace(params, couplings=couplings))
+@pytest.mark.parametrize("name", ["box car", "tank car"])
+def test_a_contact_in_the_plane_has_no_upright_normal(name):
+    # two cars across each other, with axes that cross: least overlap along the ground
+    car = replace(CAR, name=name)
+    run = FlatSimulation(train(2, car=car, off=((1, "front"), (1, "rear"), (2, "front"),
+                                                (2, "rear"))))  # fmt: skip
+    first, second = (int(run._space.body[i]["qpos"]) for i in (0, 1))
+    run._data.eq_active[:] = False
+    run._state.coupled[:] = 0
+    run._data.qpos[second : second + 3] = *run._data.qpos[first : first + 2], 1.3
+    mujoco.mj_step1(run._mj, run._data)
+    run._evaluate()
+    run._step()
+    assert run._data.ncon > 0
+    frames = run._data.contact.frame
+    assert np.abs(frames[:, 2]).max() < 1e-9
+    reach = 0.5 * CAR.length + 2.0  # half of one, half of the width of the other
+    size = max(float(np.linalg.norm([row[k] for k in ("fx", "fy", "fz")]))
+               for row in run._space.touch[: int(run._space.count[0])])  # fmt: skip
+    assert size < 2.0 * CAR_STIFFNESS * reach
 
 
 def test_without_mujoco_a_line_tells(monkeypatch):

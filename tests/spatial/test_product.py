@@ -9,8 +9,9 @@ import pytest
 
 from derail_ros.cli import main
 from derail_ros.recording.reader import read_bag
+from derail_ros.review.scene import scene_at
 from derail_ros.review.view3d import View
-from derail_ros.review.world import World
+from derail_ros.review.world import Slab, World, bed, entered, ground_level, slopes
 
 SCENARIO = """
 version: 1
@@ -151,3 +152,83 @@ def test_the_view_moves_cars_and_camera(recording):
         assert view.time > before
     finally:
         view.server.stop()
+
+
+PLACE = (
+    SCENARIO.replace("A tank car and three box cars", "Three box cars, a berm and a wall")
+    + """
+site:
+  tracks: [{name: siding, offset_m: -5, from_m: -150, to_m: 150}]
+  standing: [{track: siding, position_m: -60, consist: [{car: box_car}]}]
+  fixed:
+    - {name: wall, outline_along_m: [[-40, 6], [-10, 6], [60, 7]], height_m: 2.5}
+    - {name: pier, closed: true, outline_along_m: [[70, 4], [72, 4], [72, 6], [70, 6]]}
+  zones:
+    - {name: berm, outline_along_m: [[-30, -8], [60, -8], [60, -14], [10, -11], [-30, -14]],
+       rise_percent: 30, uphill_deg: 270}
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def placed(tmp_path_factory):
+    """A recorded run at a place."""
+    folder = tmp_path_factory.mktemp("place")
+    (folder / "place.yaml").write_text(PLACE)
+    assert main(["simulate", str(folder / "place.yaml"), "-o", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def test_an_outcome_tells_of_its_place(placed, capsys):
+    report = json.loads(said(capsys, "simulate", placed.parent / "place.yaml", "--json"))
+    (outcome,) = report["outcomes"]
+    assert [row["name"] for row in outcome["site"]["fixed"]] == ["wall", "pier"]
+    assert [row["name"] for row in outcome["site"]["zones"]] == ["berm"]
+    assert outcome["standing_cars"] == 1 and outcome["standing_moved"] == []
+    assert any("no accident" in said for said in report["limits"])
+    (assumed,) = (w for w in report["warnings"] if "assumed" in w)
+    assert "pier" in assumed and "5 m" in assumed and "wall" not in assumed
+    assert "differ" not in said(capsys, "replay", placed / "recording")
+
+
+def test_a_place_is_part_of_worlds_and_views(placed, capsys):
+    bag = placed / "recording"
+    for form, name in (("mjcf", "w.xml"), ("sdf", "w.sdf"), ("gltf", "w.glb")):
+        said(capsys, "export-world", bag, "-o", placed / name, "--format", form, "--at", 0.0)
+    model = mujoco.MjModel.from_xml_path(str(placed / "w.xml"))
+    names = [model.geom(k).name for k in range(model.ngeom)]
+    assert sum(name.startswith("wall ") for name in names) == 2 + 4
+    wedges = [k for k in range(model.ngeom) if names[k].startswith("slope ")]
+    assert len(wedges) == 3  # a polygon of five corners, one of which bends inwards
+    # the berm's crest: 6 m behind its foot, 0.3 times as high
+    run = read_bag(bag)
+    top = max(wedge[:, 2].max() for wedge in slopes(run))
+    assert top == pytest.approx(ground_level(run) + 0.3 * 6.0)
+    sides = [np.diff(wedge[:3, :2], axis=0) for wedge in slopes(run)]
+    area = sum(0.5 * abs(np.linalg.det(pair)) for pair in sides)
+    assert area == pytest.approx(90.0 * 6.0 - 0.5 * 90.0 * 3.0)
+    siding = [slab for slab in bed(run, -100.0, 100.0) if slab.at[1] < -4.9]
+    assert siding
+    sdf = ET.parse(placed / "w.sdf").getroot()
+    assert len(sdf.findall(".//collision[@name='wall_0_collision']")) == 1
+    import trimesh
+
+    assert {"wall 0", "slope 0"} <= set(trimesh.load(placed / "w.glb").geometry)
+    view = View(run, port=18090)
+    try:
+        view.show(run.time[-1])
+        own = int(run.derailed[-1][: run.cars.own].sum())
+        assert f"{own} derailed" in view.clock.content
+    finally:
+        view.server.stop()
+
+
+def test_a_wall_that_a_car_is_in_is_left_out_of_a_world(placed):
+    run = read_bag(placed / "recording")
+    whole = World.of(run, 0.0)
+    x, y = run.pose[0, 0, :2]
+    edge = Slab((20.0, 0.3, 2.0), (float(x), float(y) + 1.0, 1.0), 0.0, 0.1)
+    far = Slab((20.0, 0.3, 2.0), (float(x), float(y) + 4.0, 1.0), 0.0, 0.1)
+    scene = scene_at(run, 0.0)
+    assert entered(edge, scene.corners()) and not entered(far, scene.corners())
+    assert len(whole.walls) == 6

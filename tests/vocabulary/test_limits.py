@@ -7,7 +7,8 @@ import numpy as np
 
 from derail_ros.recording.recorded_run import SampledLine
 from derail_ros.vocabulary.limits import limits, train_force_limits
-from derail_ros.vocabulary.outcome import Outcome
+from derail_ros.vocabulary.outcome import Outcome, StandingOutcome
+from derail_ros.vocabulary.site import SiteOutcome, Struck
 
 
 def outcome(*cars: tuple[float, float, float]) -> Outcome:
@@ -27,6 +28,18 @@ def test_cars_that_were_dragged_in_line() -> None:
     (said,) = limits(outcome(*pile), SampledLine())
     assert said.startswith("cars 2, 4 are off the rails but in line with the track; they count")
     assert limits(outcome((0.0, 1.6, 0.0)), SampledLine()) == [], "beside the track"
+
+
+def test_a_place_in_three_dimensions_was_compared_with_no_accident() -> None:
+    flat = outcome((0.0, 2.0, 40.0))
+    site = SiteOutcome(fixed=(Struck("wall", 1e6, 1e5, (1,)),))
+    assert limits(replace(flat, site=site), SampledLine()) == [], "the planar model"
+    tall = replace(flat, values={"pile_height_m": 4.4})
+    assert limits(tall, SampledLine()) == []
+    assert limits(replace(tall, site=SiteOutcome()), SampledLine()) == []
+    for more in ({"site": site}, {"standing": StandingOutcome(2)}):
+        (said,) = limits(replace(tall, **more), SampledLine())
+        assert "in three dimensions" in said and "no accident" in said
 
 
 def test_in_a_curve_headings_are_those_of_the_track() -> None:
