@@ -102,7 +102,9 @@ class SimulatorClient:
 
     def break_rail(self, coordinate: float | None = None, *, car: int = 0) -> float:
         """Break the rail at a track coordinate (m) or ahead of a car; gives the coordinate."""
-        place = math.nan if coordinate is None else float(coordinate)
+        if (coordinate is None) == (car == 0):
+            raise SimulatorClientError("give either coordinate or car")
+        place = 0.0 if coordinate is None else float(coordinate)
         answer = self._ask("InjectRailBreak", track_coordinate=place, car=car)
         return float(answer.track_coordinate)
 

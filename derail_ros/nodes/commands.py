@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from derail_ros.recording.session import Session
+from derail_ros.vocabulary.errors import CommandError
+from derail_ros.vocabulary.events import Command
 from derail_ros.vocabulary.simulation import COMMANDS
 from derail_ros.vocabulary.status import BRAKE_MODES, BRAKE_SOURCES
 from msg_adapters import reports
@@ -37,6 +39,7 @@ class Request:
     command: str
     fields: Mapping[str, Any]
     caller: str = ""
+    service: str = ""  # that was called, if it has another name than the command
 
 
 @dataclass(frozen=True)
@@ -66,13 +69,13 @@ def one_of(name: str, value: int, number: int) -> None:
 def rail_break(coordinate: float, car: int) -> dict[str, Any]:
     """Arguments of ``Simulation.inject_rail_break``, or a refusal of two places and of none.
 
-    With a car, a coordinate of 0 (a field that was left out) or NaN is no place.
+    With a car, a coordinate of 0 (a field that was left out) is no place.
     """
+    if not math.isfinite(coordinate):
+        raise Refusal(f"track_coordinate must be a finite number, got {coordinate}")
     if not car:
-        if not math.isfinite(coordinate):
-            raise Refusal(f"track_coordinate must be a finite number, got {coordinate}")
         return {"coordinate": float(coordinate)}
-    if math.isfinite(coordinate) and coordinate != 0.0:
+    if coordinate != 0.0:
         raise Refusal(
             f"track_coordinate {coordinate:g} m and car {car} are two places; give one of them"
         )
@@ -85,8 +88,11 @@ def emergency_brake(mode: int, source: int, car: int, delay: float) -> dict[str,
     one_of("source", source, len(BRAKE_SOURCES))
     if not math.isfinite(delay) or delay < 0.0:
         raise Refusal(f"delay_s must be a finite number from 0 up, got {delay}")
-    if car and BRAKE_SOURCES[source] != "car":
-        raise Refusal(f"car {car} is allowed only with source {BRAKE_SOURCES.index('car')} (car)")
+    by_car = BRAKE_SOURCES.index("car")
+    if car and source != by_car:
+        raise Refusal(f"car {car} is allowed only with source {by_car} (car)")
+    if not car and source == by_car:
+        raise Refusal(f"source {by_car} (car) needs the field car, a number from 1 up")
     return {
         "mode": BRAKE_MODES[mode],
         "source": BRAKE_SOURCES[source],
@@ -103,19 +109,44 @@ def apply(session: Session, name: str, arguments: Mapping[str, Any]) -> tuple[st
     Refusal, CommandError
         If the run does not accept it.
     """
-    simulation = session.simulation
+    simulation, last = session.simulation, session.params.n_train
+    if session.finished or simulation.ended:
+        raise Refusal(over(session))
+    if int(arguments.get("car", 0)) > last:
+        raise Refusal(f"car must be 1 to {last}, the cars of the train, got {arguments['car']}")
     if len(simulation.commands) >= MAX_COMMANDS:
         raise Refusal(f"the run has had {MAX_COMMANDS} commands, the most it accepts")
     broken = list(simulation.rail_breaks)
     if name == "inject_rail_break" and len(broken) >= MAX_BREAKS:
         raise Refusal(f"the track has {MAX_BREAKS} breaks, the most it can have")
-    place = session.command(name, **arguments)
+    repeated = any(_repeats(arguments, simulation.time, former) for former in simulation.commands)
+    try:
+        place = session.command(name, **arguments)
+    except CommandError as error:
+        # The engine's name of the field is not that of the service.
+        where = {"coordinate": "track_coordinate: "}.get(error.field, "")
+        raise Refusal(f"{where}{error.reason}" if where else str(error)) from None
     if name != "inject_rail_break":
-        return "applied", math.nan
+        changes = "; it changes nothing, the same was commanded before" if repeated else ""
+        return f"applied{changes}", math.nan
     message = f"rail break at {place + 0.0:.3f} m"  # without the sign of zero
     if any(abs(place - other) < SAME_PLACE for other in broken):
         message += "; the rail was already broken there"
     return message, float(place)
+
+
+def over(session: Session) -> str:
+    """Why nothing more can be done with a run that is over."""
+    how = "failed" if session.failure else "ended"
+    return f"the run has {how}; reset it or load another"
+
+
+def _repeats(arguments: Mapping[str, Any], now: float, former: Command) -> bool:
+    """Whether a brake is one that was commanded before and is made no earlier than that."""
+    if former.name != "trigger_emergency_brake" or "mode" not in arguments:
+        return False
+    same = all(former.arguments[key] == arguments[key] for key in ("mode", "source", "car"))
+    return same and former.time + float(str(former.arguments["delay"])) <= now + arguments["delay"]
 
 
 # --- the log ---------------------------------------------------------------------------------
@@ -171,9 +202,11 @@ class CommandLog:
         self._sequence += 1
         stamp = context.stamp(time)
         self._emit("command_log", stamp, serialize(entry))
+        if accepted and command in COMMANDS:
+            self._log.info(f"{command} at {time:.3f} s: {message}")
         if not accepted:
             self.refused += 1
-            self._log.warning(f"{command} refused: {message}")
+            self._log.warning(f"{request.service or command} refused: {message}")
             if session is not None:
                 refused = {"command": command, "request": fields, "reason": message}
                 session.refuse(refused | {"step": step, "time": time}, MAX_REFUSED)

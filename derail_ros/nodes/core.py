@@ -198,7 +198,7 @@ class SimulatorCore:
             raise Refusal(NO_RUN)
         return self.session
 
-    def prepare(self, name: str, text: str, speed_kmh: float = math.nan) -> Prepared:
+    def prepare(self, name: str, text: str, speed_kmh: float = 0.0) -> Prepared:
         """Make a scenario ready, from any thread; see :func:`loading.prepare`."""
         settings = self.settings
         prepared = loading.prepare(
@@ -214,6 +214,7 @@ class SimulatorCore:
         request: Mapping[str, Any],
         caller: str = "",
         state: State | None = None,
+        service: str = "",
     ) -> Answer:
         """Begin a run of a prepared scenario, or refuse with the error of its preparation.
 
@@ -229,7 +230,7 @@ class SimulatorCore:
             cars = prepared.simulation.params.n_train
             return f"loaded {prepared.name}: {cars} cars, run {self.run_id}"
 
-        return self._serve(Request("load_consist", request, caller), act)
+        return self._serve(Request("load_consist", request, caller, service), act)
 
     def unload(self, caller: str = "") -> Answer:
         """End the run and have none."""
@@ -317,8 +318,7 @@ class SimulatorCore:
             return
         session = self._session
         if state == State.PLAYING and session.finished:
-            how = "failed" if session.failure else "ended"
-            raise Refusal(f"the run has {how}; reset it or load another")
+            raise Refusal(commands.over(session))
 
     def step_simulation(
         self,
@@ -326,11 +326,13 @@ class SimulatorCore:
         done: Callable[[Answer], None],
         caller: str = "",
         progress: Callable[[int, int], bool] | None = None,
+        service: str = "",
+        field: str = "ticks",
     ) -> None:
         """Advance a paused simulation; ``done`` gets the answer when the ticks are done.
 
         ``progress`` gets, after each tick, how many are done and how many are left, and says
-        whether to go on.
+        whether to go on. ``service`` and ``field`` are the names by which it was asked.
         """
         reason = ""
         if self.session is None:
@@ -338,12 +340,12 @@ class SimulatorCore:
         elif self.state != State.PAUSED:
             reason = f"the state must be paused, it is {self.state.name.lower()}"
         elif ticks < 1:
-            reason = f"ticks must be at least 1, got {ticks}"
+            reason = f"{field} must be at least 1, got {ticks}"
         elif self._stepping is not None:
             reason = "another step_simulation is being carried out"
         elif self.session.finished:
-            reason = "the run has ended; reset it or load another"
-        request = Request("step_simulation", {"ticks": ticks}, caller)
+            reason = commands.over(self.session)
+        request = Request("step_simulation", {"ticks": ticks}, caller, service)
         if reason:
             done(self._answer(request, False, reason))
         else:

@@ -33,8 +33,10 @@ def read(name: str, text: str, dirs: Sequence[str], model: str = "") -> Scenario
     ValueError
         With the reason for which it is refused.
     """
-    if bool(name) == bool(text):
-        raise ValueError("give either scenario_name or scenario_yaml")
+    if name and text:
+        raise ValueError("scenario_name and scenario_yaml are both given; give one of them")
+    if not name and not text:
+        raise ValueError("neither scenario_name nor scenario_yaml is given; give one of them")
     if len(text.encode()) > MAX_YAML:
         raise ValueError("scenario_yaml is over 512 KB")
     try:
@@ -53,7 +55,7 @@ def prepare(
 ) -> Prepared:
     """Read a scenario and make it ready to run, from any thread.
 
-    A speed of 0 or NaN is the scenario's own.
+    A speed of 0 is the scenario's own.
 
     Raises
     ------
@@ -61,7 +63,7 @@ def prepare(
         With the reason for which it is refused.
     """
     scenario = read(name, text, dirs, model)
-    if math.isinf(speed_kmh) or speed_kmh < 0.0:
+    if not math.isfinite(speed_kmh) or speed_kmh < 0.0:
         raise ValueError(f"speed_kmh must be a finite number from 0 up, got {speed_kmh}")
     try:
         warm_up(scenario.model.model)

@@ -202,6 +202,8 @@ class Simulator(Program):
                 # Read it here, so that a refusal reaches the client.
                 self._from_parameter = self.core.prepare(str(values["scenario"]), "")
         except ValueError as error:
+            names = ", ".join(parameter.name for parameter in changes)
+            self.log.warning(f"change of {names} refused: {error}")
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -19,6 +19,7 @@ from derail_ros.nodes.core import NO_RUN, Refusal, SimulatorCore, State
 from derail_ros.nodes.serving import DeferredService, service_qos, snake
 from derail_ros.recording.session import Prepared, Session
 from derail_ros.scenario import list_scenarios
+from derail_ros.scenario.messages import did_you_mean
 from derail_ros.vocabulary.params import Car
 from derail_ros.vocabulary.shapes import box_of
 from msg_adapters.car_frame import Motion, heights, motion
@@ -42,6 +43,7 @@ COLLIDING_FEATURES = (
     "SIMULATION_STATE_PAUSE", "STEP_SIMULATION_SINGLE",
 )  # fmt: skip
 """Features of these services."""
+NO_WORLD = "no world is loaded"
 EVERYWHERE = 1e9
 """No car is beyond, m: the products of larger bounds would be no numbers."""
 TOUCHING = 1e-9
@@ -163,7 +165,7 @@ class StandardInterface:
             why = f"already {before.name.lower()}"
             response.result = self._result(kinds.ALREADY_IN_TARGET_STATE, why)
         elif core.session is None and wanted != State.QUITTING:
-            response.result = self._result(kinds.INCORRECT_TRANSITION, NO_RUN)
+            response.result = self._result(kinds.INCORRECT_TRANSITION, NO_WORLD)
         else:
             answer = core.set_state(wanted)
             code = kinds.STATE_TRANSITION_ERROR
@@ -188,21 +190,23 @@ class StandardInterface:
         none = self._core.session is None
         results = self._msg.Result
         code = results.RESULT_INCORRECT_STATE if none else results.RESULT_OPERATION_FAILED
-        return self._result(code, answer.message)
+        return self._result(code, _in_words_of_the_standard(answer))
 
     def _step(self, request: Any, response: Any, finish: Callable[[], None]) -> None:
         def done(answer: Answer) -> None:
-            response.result = self._ok if answer.success else self._failed(answer.message)
+            response.result = (
+                self._ok if answer.success else self._failed(_in_words_of_the_standard(answer))
+            )
             finish()
 
-        self._core.step_simulation(int(request.steps), done)
+        self._core.step_simulation(int(request.steps), done, field="steps")
 
     # --- entities ------------------------------------------------------------------------------
 
     @property
     def _run(self) -> Session:
         if self._core.session is None:
-            raise Refusal(NO_RUN)
+            raise Refusal(NO_WORLD)
         return self._core.session
 
     def _car(self, name: str) -> int:
@@ -365,16 +369,24 @@ class StandardInterface:
         kinds = type(response)
         # Release 2.0 has the two fields in the request itself.
         resource = getattr(request, "world_resource", request)
-        name, text = resource.uri, "" if resource.uri else resource.resource_string
-        if not name and not text:
-            why = "give the name of a scenario as uri, or its YAML as resource_string"
+        name, text = resource.uri, resource.resource_string
+        if bool(name) == bool(text):
+            why = "uri and resource_string are both given; give one of them"
+            if not name:
+                why = "give the name of a scenario as uri, or its YAML as resource_string"
             response.result = self._result(kinds.NO_RESOURCE, why)
             finish()
             return
 
         def begin(prepared: Prepared | ValueError) -> None:
             fields = {"scenario_name": name, "scenario_yaml": text, "start_paused": True}
-            answer = self._core.load(prepared, fields, "load_world", State.STOPPED)
+            if isinstance(prepared, ValueError) and name:
+                known = [scenario.name for scenario in self._scenarios()]
+                if name not in known and "did you mean" not in str(prepared):
+                    prepared = ValueError(f"{prepared}{_near_world(name, known)}")
+            answer = self._core.load(
+                prepared, fields, "load_world", State.STOPPED, service="load_world"
+            )
             if answer.success:
                 response.result, response.world = self._ok, self._world()
                 self._loaded(name)
@@ -399,15 +411,15 @@ class StandardInterface:
 
     def _unload_world(self, request: Any, response: Any) -> Any:
         answer = self._core.unload()
-        code = type(response).NO_WORLD_LOADED
-        response.result = self._ok if answer.success else self._result(code, answer.message)
+        code, why = type(response).NO_WORLD_LOADED, _in_words_of_the_standard(answer)
+        response.result = self._ok if answer.success else self._result(code, why)
         if answer.success:
             self._loaded("")
         return response
 
     def _get_current_world(self, request: Any, response: Any) -> Any:
         if self._core.session is None:
-            response.result = self._result(type(response).NO_WORLD_LOADED, NO_RUN)
+            response.result = self._result(type(response).NO_WORLD_LOADED, NO_WORLD)
         else:
             response.result, response.world = self._ok, self._world()
         return response
@@ -427,6 +439,20 @@ class StandardInterface:
         return response
 
 
+def _in_words_of_the_standard(answer: Answer) -> str:
+    """The reason of a refusal: what is loaded is a world there."""
+    return NO_WORLD if answer.message == NO_RUN else answer.message
+
+
+def _near_world(name: str, known: list[str]) -> str:
+    """What to give in place of a name that is none of a scenario."""
+    last = name.rstrip("/").rpartition("/")[2].removesuffix(".yaml")
+    if last in known:
+        return f"; give the name alone: {last}"
+    text = "" if last == name else "; uri must be the name of a scenario, no path and no address"
+    return f"{text}{did_you_mean(last, known)}"
+
+
 class _StepAction:
     """The action ``simulate_steps``: ticks with feedback after each, which can be cancelled."""
 
@@ -441,8 +467,19 @@ class _StepAction:
             name,
             self._finish,
             handle_accepted_callback=self._begin,
+            goal_callback=self._accept,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
+        self._log = node.get_logger()
+
+    def _accept(self, goal: Any) -> Any:
+        from rclpy.action import GoalResponse
+
+        if goal.steps >= 1:
+            return GoalResponse.ACCEPT
+        # The protocol has no room for a reason.
+        self._log.warning(f"simulate_steps refused: steps must be at least 1, got {goal.steps}")
+        return GoalResponse.REJECT
 
     def _begin(self, goal: Any) -> None:
         # The goal is executed, in rclpy's words, once its ticks are done: its executor would
@@ -458,7 +495,9 @@ class _StepAction:
             self._answer[identity] = answer
             goal.execute()
 
-        self._core.step_simulation(int(goal.request.steps), done, "simulate_steps", progress)
+        name = "simulate_steps"
+        steps = int(goal.request.steps)
+        self._core.step_simulation(steps, done, name, progress, service=name, field="steps")
 
     def _finish(self, goal: Any) -> Any:
         from simulation_interfaces.msg import Result
@@ -471,5 +510,5 @@ class _StepAction:
         else:
             goal.abort()
         code = Result.RESULT_OK if answer.success else Result.RESULT_OPERATION_FAILED
-        why = "" if answer.success else answer.message
+        why = "" if answer.success else _in_words_of_the_standard(answer)
         return self._kind.Result(result=self._make(code, why))

@@ -139,7 +139,8 @@ def describe(e: Event) -> str:
     if e.kind == EventKind.BRAKES_TRIGGERED:
         if e.cause == "vented":
             return "the brake pipe parts: emergency application from there"
-        return f"emergency brakes{': ' + e.cause if e.cause else ''}"
+        cause = e.cause.replace("from the car", f"from {car}") if e.cars else e.cause
+        return f"emergency brakes{': ' + cause if cause else ''}"
     if e.kind == EventKind.BRAKE_SIGNAL_REACHED:
         return f"the brake signal reaches {car}"
     if e.kind == EventKind.CAR_AT_REST:

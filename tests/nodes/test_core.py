@@ -563,7 +563,7 @@ def test_a_break_under_a_car_opens_ahead_of_its_front_truck(bench: Bench) -> Non
     bench.step(5)
     session = bench.core.session
     front = float(session.simulation.sample().truck_coordinate[1, 0])
-    answer = bench.core.inject_rail_break(math.nan, 2)
+    answer = bench.core.inject_rail_break(0.0, 2)
     assert answer.value == pytest.approx(front + 0.5)
     bench.core.set_state(State.PLAYING)
     bench.go(1.0)
@@ -598,6 +598,51 @@ def test_commands_have_an_end(bench: Bench, monkeypatch) -> None:
     answers = [bench.core.trigger_emergency_brake(0, 0, 0, 9.0) for _ in range(3)]
     assert [a.success for a in answers] == [True, True, False]
     assert "4 commands" in answers[2].message
+
+
+def test_a_brake_that_was_made_before_says_that_it_changes_nothing(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    brake = bench.core.trigger_emergency_brake
+    assert brake(0, 3, 2, 1.0).message == "applied"
+    bench.step(5)
+    again = "applied; it changes nothing, the same was commanded before"
+    assert brake(0, 3, 2, 1.0).message == again
+    for other in ((0, 3, 2, 0.0), (1, 3, 2, 1.0), (0, 3, 1, 1.0), (0, 0, 0, 1.0)):
+        assert brake(*other).message == "applied", other
+    bench.step(100)
+    texts = [e.text for e in bench.heard.of("events") if e.kind_name == "brakes_triggered"]
+    assert "emergency brakes: command: conventional from car 2" in texts
+    assert not any("the car" in text for text in texts)
+
+
+def test_what_was_commanded_is_logged_and_what_was_refused_by_its_service(bench: Bench) -> None:
+    bench.load(ENDLESS, paused=True)
+    bench.core.inject_rail_break(500.0, 0)
+    bench.core.trigger_emergency_brake(0, 0, 0, 0.0)
+    told = [text for level, text in bench.heard.logs if level == "info"]
+    assert "inject_rail_break at 0.000 s: rail break at 500.000 m" in told
+    assert "trigger_emergency_brake at 0.000 s: applied" in told
+    answers: list[Answer] = []
+    bench.core.step_simulation(0, answers.append, service="simulate_steps", field="steps")
+    request = {"scenario_name": "x", "start_paused": True}
+    bench.core.load(ValueError("no"), request, service="load_world")
+    warned = [text for level, text in bench.heard.logs if level == "warning"]
+    assert warned[-2:] == [
+        "simulate_steps refused: steps must be at least 1, got 0", "load_world refused: no"
+    ]  # fmt: skip
+
+
+def test_a_run_that_is_over_says_so_in_one_sentence(bench: Bench) -> None:
+    bench.load(paused=True)
+    bench.step(10**6)
+    core = bench.core
+    answers = [
+        core.inject_rail_break(500.0, 0), core.trigger_emergency_brake(0, 0, 0, 0.0),
+        core.set_state(State.PLAYING), *bench.step(1),
+    ]  # fmt: skip
+    assert {(a.success, a.message) for a in answers} == {
+        (False, "the run has ended; reset it or load another")
+    }
 
 
 def test_brakes_stop_the_train(bench: Bench) -> None:

@@ -107,7 +107,7 @@ def test_stopped_reset_and_failed_runs(tmp_path, capsys) -> None:
 
     core.load(ready(ENDLESS), {"start_paused": True})
     step(20)
-    core.inject_rail_break(float("nan"), 2)
+    core.inject_rail_break(0.0, 2)
     step(30)
     core.reset(0)
     core.trigger_emergency_brake(1, 2, 0, 0.1)
@@ -143,7 +143,7 @@ def test_a_recording_that_was_cut_off(tmp_path, capsys) -> None:
     core.load(ready(ENDLESS), {"start_paused": True})
 
     step(20)
-    core.inject_rail_break(float("nan"), 2)
+    core.inject_rail_break(0.0, 2)
     step(50)
     end = time.monotonic() + 60.0
     while _commands_on_disk(tmp_path / "bag") < 1:

@@ -150,6 +150,7 @@ def test_worlds_are_the_scenarios(made: Graph) -> None:
     ("resource", "expected"),
     [
         (Resource(), srv.LoadWorld.Response.NO_RESOURCE),
+        (Resource(uri="base_train", resource_string=ENDLESS), srv.LoadWorld.Response.NO_RESOURCE),
         (Resource(uri="nowhere"), Result.RESULT_NOT_FOUND),
         (Resource(uri="/etc/passwd"), Result.RESULT_NOT_FOUND),
         (Resource(resource_string="<sdf/>"), srv.LoadWorld.Response.RESOURCE_PARSE_ERROR),
@@ -158,6 +159,41 @@ def test_worlds_are_the_scenarios(made: Graph) -> None:
 def test_a_world_that_cannot_be_loaded_leaves_the_present_one(loaded, resource, expected) -> None:
     assert code(call(loaded, "LoadWorld", world_resource=resource)) == expected
     assert len(call(loaded, "GetEntities").entities) == 3
+
+
+@pytest.mark.parametrize(
+    ("resource", "reason"),
+    [
+        (Resource(uri="base_train", resource_string="x"), "uri and resource_string are both"),
+        (Resource(), "give the name of a scenario as uri, or its YAML as resource_string"),
+        (Resource(uri="base_trian"), "did you mean 'base_train'?"),
+        (Resource(uri="/opt/worlds/base_train.yaml"), "give the name alone: base_train"),
+        (Resource(uri="file:///opt/base_trian.yaml"), "uri must be the name of a scenario"),
+    ],
+)  # fmt: skip
+def test_a_world_that_is_not_there_says_what_to_give(loaded, resource, reason) -> None:
+    assert reason in call(loaded, "LoadWorld", world_resource=resource).result.error_message
+
+
+def test_the_standard_speaks_of_worlds(made: Graph) -> None:
+    call(made, "UnloadWorld")
+    for answer in (
+        call(made, "UnloadWorld"), call(made, "GetCurrentWorld"), call(made, "ResetSimulation"),
+        call(made, "StepSimulation", steps=1), call(made, "GetEntityState", entity="car_1"),
+        call(made, "SetSimulationState", state=SimulationState(state=PLAYING)),
+    ):  # fmt: skip
+        assert answer.result.error_message == "no world is loaded"
+
+
+def test_a_goal_without_steps_is_rejected(loaded: Graph) -> None:
+    go_to(loaded, PAUSED)
+    client = ActionClient(loaded.node, SimulateSteps, "/simulator/simulate_steps")
+    loaded.until(client.server_is_ready, "the action is there")
+    future = client.send_goal_async(SimulateSteps.Goal(steps=0))
+    loaded.until(future.done, "the goal is answered")
+    assert not future.result().accepted
+    answer = call(loaded, "StepSimulation", steps=0)
+    assert "steps must be at least 1, got 0" in answer.result.error_message
 
 
 def test_states_and_transitions(loaded: Graph) -> None:
