@@ -15,6 +15,9 @@ from msg_adapters.reports import event_from_message
 DEPTH = 100
 """Answers that may wait: Fast DDS brings those of all clients of a service to each of them."""
 EVENTS_DEPTH = 5000
+PATIENCE = 20.0
+"""Wall time after which a client that has found no service is made anew, s: on a machine that is
+far behind, Fast DDS now and then never brings the two together."""
 
 
 class SimulatorClientError(RuntimeError):
@@ -65,7 +68,8 @@ class SimulatorClient:
         self.node = rclpy.create_node(name, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._clients: dict[str, Any] = {}
+        # Path of a service -> its client, and when it was made (wall time, s).
+        self._clients: dict[str, tuple[Any, float]] = {}
         self._events: list[Any] = []
         self._outcomes: dict[str, Any] = {}
         namespace = self.simulator.rpartition("/")[0]
@@ -157,24 +161,32 @@ class SimulatorClient:
 
     def _ask(self, kind: str, service: str = "", **fields: Any) -> Any:
         """Call a service of the simulator and wait for its answer."""
-        from rclpy.qos import QoSProfile
-
         from derail_msgs import srv
         from derail_ros.nodes.serving import snake
 
         path = f"{self.simulator}/{service or snake(kind)}"
         types = getattr(srv, kind)
-        client = self._clients.get(path)
-        if client is None:
-            client = self.node.create_client(types, path, qos_profile=QoSProfile(depth=DEPTH))
-            self._clients[path] = client
-        self.until(client.service_is_ready, f"{path} is not there")
-        future = client.call_async(types.Request(caller=self._name, **fields))
+        self.until(lambda: self._found(types, path), f"{path} is not there")
+        future = self._clients[path][0].call_async(types.Request(caller=self._name, **fields))
         self.until(future.done, f"{path} does not answer")
         answer = future.result()
         if not answer.success:
             raise SimulatorClientError(f"{path}: {answer.message}")
         return answer
+
+    def _found(self, types: Any, path: str) -> bool:
+        """Whether the client of a service has found it."""
+        from rclpy.qos import QoSProfile
+
+        now = time.monotonic()
+        if path not in self._clients:
+            client = self.node.create_client(types, path, qos_profile=QoSProfile(depth=DEPTH))
+            self._clients[path] = client, now
+        client, made = self._clients[path]
+        found = bool(client.service_is_ready())
+        if not found and now > made + PATIENCE:
+            self.node.destroy_client(self._clients.pop(path)[0])
+        return found
 
     # --- what comes of it --------------------------------------------------------------------
 

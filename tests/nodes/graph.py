@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from derail_msgs import srv
+from derail_ros.nodes.client import PATIENCE
 from derail_ros.nodes.domain import free_domain
 from msg_adapters.topics import LIVE_TOPICS, STATE_TOPICS, TOPICS, rclpy_class, rclpy_qos
 from tests.nodes.forks import Fork, parent
@@ -151,6 +152,7 @@ class Graph:
         self.executor.add_node(self.node)
         self.heard: dict[str, list[Any]] = {}
         self._clients: dict[tuple[str, str], Any] = {}
+        self._sought: dict[tuple[str, str], float] = {}
 
     # --- processes ---------------------------------------------------------------------------
 
@@ -178,7 +180,7 @@ class Graph:
         process = self.start(module, *arguments, **parameters)
         if ready:
             self.until(
-                lambda: self.client("get_events").service_is_ready(),
+                lambda: self.found("get_events"),
                 "the simulator serves",
                 process,
                 LIMIT_COMPILING,
@@ -277,10 +279,20 @@ class Graph:
             )
         return self._clients[key]
 
+    def found(self, service: str, node: str = "/simulator") -> Any:
+        """A client that has found its service, or None; see PATIENCE."""
+        client, key = self.client(service, node), (service, node)
+        if client.service_is_ready():
+            return client
+        now = time.monotonic()
+        if now > self._sought.setdefault(key, now) + PATIENCE:
+            self.node.destroy_client(self._clients.pop(key))
+            del self._sought[key]
+        return None
+
     def ask(self, service: str, node: str = "/simulator", **fields: Any) -> Any:
         """Call a service and wait for the answer."""
-        client = self.client(service, node)
-        self.until(client.service_is_ready, f"{service} is there")
+        client = self.until(lambda: self.found(service, node), f"{service} is there")
         future = client.call_async(SERVICES[service].Request(**fields))
         self.until(future.done, f"{service} answers")
         return future.result()
