@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from itertools import islice
@@ -23,7 +25,6 @@ from derail_ros.vocabulary.measures import (
     SCHEMA_VERSION,
     Measure,
     Record,
-    counted,
     record_numbers,
     shown_of,
 )
@@ -124,7 +125,8 @@ def finish(
         note(f"derail: warning: {warning}")
     errors = ((i, r["error"]) for i, r in enumerate(report["outcomes"]) if "error" in r)
     for i, error in errors:
-        note(f"derail: member {i} failed: {error}")
+        more = "; make the alignment longer ahead" if error.startswith("TrackEndError") else ""
+        note(f"derail: member {i} failed: {error}{more}")
         break
     return FAILED if report["failed"] == report["members"] else OK
 
@@ -252,16 +254,22 @@ def _one_run(record: Record, groups: Sequence[str], constants: str) -> Table:
 
 
 def _many_runs(report: Record, groups: Sequence[str]) -> Table:
-    good = [record_numbers(r) for r in report["outcomes"] if counted(r)]
+    found = Ensemble(tuple(report["outcomes"]))
     first = record_numbers(report["outcomes"][0])
     rows = []
     for m in _ordered(groups):
-        values = [r[m.key] for r in good if m.key in r]
-        if values:
-            spread = (m.shown(report[k].get(m.key), 1) for k in ("mean", "sd"))
-            ends = (m.shown(v) for v in (min(values), max(values), first.get(m.key)))
-            rows.append((m.title, *spread, *ends))
-    return Table(("ensemble", "mean", "sd", "least", "most", "member 0"), rows)
+        if len(found.numbers.get(m.key, ())):
+            values = found.distribution(m.key)
+            spread = [m.shown_mean(report[k].get(m.key)) for k in ("mean", "sd")]
+            ends = [m.shown(_whole(m, values.quantile(q))) for q in (0.0, 0.05, 0.95, 1.0)]
+            rows.append((m.title, *spread, *ends, m.shown(first.get(m.key))))
+    heads = ("ensemble", "mean", "sd", "least", "5 %", "95 %", "most", "member 0")
+    return Table(heads, rows)
+
+
+def _whole(m: Measure, value: float) -> float:
+    """A quantile; of a count a whole number."""
+    return round(value) if m.whole and math.isfinite(value) else value
 
 
 def _counts(report: Record) -> str:
@@ -270,7 +278,19 @@ def _counts(report: Record) -> str:
     if report["void"]:
         text += f", {report['void']} void and not counted"
     if report["failed"]:
-        text += f", {report['failed']} failed"
+        errors = Counter(
+            r["error"].split(" at t = ")[0] for r in report["outcomes"] if "error" in r
+        )
+        which = "; ".join(f"{n} {error}" for error, n in errors.most_common())
+        text += f", {report['failed']} failed and not in the table ({which})"
+    beyond = [
+        r["beyond_track_m"] for r in report["outcomes"] if r.get("beyond_track_m") is not None
+    ]
+    if beyond:
+        text += (
+            f", {len(beyond)} rolled beyond the end of the alignment, by {max(beyond):.0f} m at "
+            "most: the track goes on straight there"
+        )
     cut_off = sum(r["status"] == TIME_LIMIT for r in report["outcomes"])
     if cut_off:
         text += f", {cut_off} ended at the time limit, not at rest"

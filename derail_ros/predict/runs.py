@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from derail_ros.predict.trains import Train, limited, on_grade, start_few, train_params
 from derail_ros.scenario.calibrated import Calibrated, Draw
 from derail_ros.studies.accidents import BROKEN_RAIL
-from derail_ros.studies.ensemble import Job, Progress, advance, run_many
+from derail_ros.studies.ensemble import Job, Progress, complete, run_many
 from derail_ros.vocabulary.params import TrainParams
 
 if TYPE_CHECKING:
@@ -75,16 +75,13 @@ def run(
     Cars that cannot derail are one body; if it meets the break after all, every car is modelled.
     ``few`` cars are off at the start and no others meet a break; 0: a pile.
     """
-    from derail_ros import models
-
     whole = build()
     if few:
         whole = start_few(whole, few)
     small = limited(whole, draw, few)
-    simulation = models.build(small)
-    if advance(simulation, stop).void and len(small.cars) < len(whole.cars):
-        simulation = models.build(whole)
-        advance(simulation, stop)
+    simulation = complete(small, stop)
+    if simulation.outcome().void and len(small.cars) < len(whole.cars):
+        simulation = complete(whole, stop)
     return simulation
 
 

@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from derail_ros.vocabulary.params import TrackSegment
+
 if TYPE_CHECKING:
     from derail_ros.vocabulary.outcome import Outcome
     from derail_ros.vocabulary.params import TrainParams
@@ -174,9 +176,39 @@ def advance(
 
 def compute(job: Job, stop: Callable[[], bool] | None = None) -> Outcome:
     """Compute one job: the default task of :func:`run_many`."""
-    from derail_ros import models
+    params = job.params()
+    simulation = complete(params, stop)
+    outcome = simulation.outcome()
+    if simulation.params is params:
+        return outcome
+    track, sample = params.track, simulation.sample()
+    end = track.start_coordinate + sum(s.length for s in track.segments)
+    place = sample.truck_coordinate[sample.truck_on.astype(bool)]
+    beyond = float(np.max(place, initial=end)) - end
+    return replace(outcome, values={**outcome.values, "beyond_track_m": beyond})
 
-    return advance(models.build(job.params()), stop)
+
+MORE_TRACK = 5000.0
+"""Straight that is added to an alignment on which a run ran out of track, m."""
+
+
+def complete(params: TrainParams, stop: Callable[[], bool] | None = None) -> Simulation:
+    """A run at its end; if a truck leaves the end of the alignment, again with a straight there.
+
+    Without that the longest runs of an ensemble would be the ones that fail.
+    """
+    from derail_ros import models
+    from derail_ros.vocabulary.errors import TrackEndError
+
+    simulation = models.build(params)
+    try:
+        advance(simulation, stop)
+    except TrackEndError:
+        segments = (*params.track.segments, TrackSegment(MORE_TRACK))
+        longer = replace(params, track=replace(params.track, segments=segments))
+        simulation = models.build(longer)
+        advance(simulation, stop)
+    return simulation
 
 
 def describe(error: BaseException) -> str:

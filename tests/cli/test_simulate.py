@@ -136,8 +136,40 @@ def test_mean_and_sd(ensemble):
 def test_an_ensemble_as_a_table(derail, small):
     answer = derail("simulate", small, "--ensemble", 3)
     assert answer.code == 0
-    for words in ("mean", "sd", "member 0", "3 runs"):
+    for words in ("mean", "sd", "5 %", "95 %", "member 0", "3 runs"):
         assert words in answer.out
+    lines = answer.out.splitlines()
+    assert max(map(len, lines[: lines.index("")])) <= 80
+    told = derail("simulate", small, "--ensemble", 3, "--json").json
+    scene = [1.0 * r["scene_length_m"] for r in told["outcomes"]]
+    (row,) = (line.split()[3:] for line in lines if line.startswith("scene length (m)"))
+    quantiles = np.quantile(scene, [0.0, 0.05, 0.95, 1.0])
+    assert row[2:6] == [f"{v:.1f}" for v in quantiles]
+    (row,) = (line.split()[2:] for line in lines if line.startswith("cars derailed"))
+    assert all(value.isdigit() for value in row[2:])
+
+
+def test_a_member_that_leaves_the_alignment_rolls_on_straight(derail, small, tmp_path):
+    """The first cars stay on the rails, and the alignment ends 5 m ahead."""
+    text = Path(small).read_text().replace("car: 1", "car: 6").replace("rail_breaks: [0]", "{}")
+    endless, short = tmp_path / "endless.yaml", tmp_path / "short.yaml"
+    endless.write_text(text)
+    ahead = "alignment: [{tangent: {length_m: 311}}]"
+    ahead = f"track: {{start_coordinate_m: -300, start_x_m: -300, {ahead}}}"
+    short.write_text(text.replace("track:\n  {}", ahead))
+    whole = derail("simulate", endless, "--ensemble", 3, "--json").json["outcomes"]
+    answer = derail("simulate", short, "--ensemble", 3, "--json")
+    members = answer.json["outcomes"]
+    for own, wanted in zip(members, whole):
+        assert own["duration_s"] == pytest.approx(wanted["duration_s"], rel=1e-6)
+        assert own["beyond_track_m"] > 0.0
+    # The recorded run is that of the scenario itself, which has too short a track.
+    answer = derail("simulate", short, "--ensemble", 3, "-o", tmp_path / "out")
+    assert "member 0 failed: TrackEndError" in answer.err
+    assert "make the alignment longer ahead" in answer.err
+    out = " ".join(answer.out.split())
+    assert "1 failed and not in the table (1 TrackEndError: a truck" in out
+    assert "2 rolled beyond the end of the alignment" in out
 
 
 # Failures ----------------------------------------------------------------------------------
