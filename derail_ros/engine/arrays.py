@@ -98,8 +98,8 @@ class Work(NamedTuple):
     wk: Rows  # (N,) WORK
     row: Rows  # (N, 2) ROW
     ang: F64  # (3, 3 N) angles, sines, cosines
-    ground: F64  # (12, 10 N) points on the ground: velocity x, y; place on the axis; load;
-    # results; in zones also c_s, c_d, eps, c_v and the slope along x and y
+    ground: F64  # (10, 10 N) points on the ground: squared speed; place on the axis; two results;
+    # in zones also c_s, c_d, eps, c_v and the slope along x and y
     ground_first: I64  # (N+1,) first of a car's points
     force: F64  # (N, 5)
     stage_q: F64
@@ -154,7 +154,7 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool, fixed: int 
         wk=np.zeros(n, layout.WORK),
         row=np.zeros((n, 2), layout.ROW),
         ang=np.zeros((3, 3 * n)),
-        ground=np.zeros((12, BODY_POINTS * n)),
+        ground=np.zeros((10, BODY_POINTS * n)),
         ground_first=np.zeros(n + 1, dtype=np.int64),
         force=np.zeros((n, 5)),
         stage_q=np.zeros((n, 5)),

@@ -113,6 +113,8 @@ def close_up(model: Model, work: Work, q: F64) -> None:
 def prepare(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """Make ``work`` ready for an evaluation at (q, v): blocks, all listed pairs, fixed bodies."""
     find_blocks(model, state, work, q, v)
+    for i in range(q.shape[0]):
+        work.wk[i].settled = 0.0
     for p in range(state.cnt[0].pairs):
         work.active[1 + p] = p
         work.corners[1 + p] = ALL_CORNERS

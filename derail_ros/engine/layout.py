@@ -190,6 +190,7 @@ WORK = _table("""
     c_xx c_xy c_xt c_yy c_yt c_tt  # its damping by (Vx, Vy, yaw rate)
     sx sy sw  # what the implicit stages add to the velocities' change
     ct0 st0  # cos, sin of theta at the beginning of the step
+    settled composition cast_iron  # 1: its brakes stay as they are in the step: of its shoes, N
 """)
 ROW = _table("""
     nx ny arm  # row of J

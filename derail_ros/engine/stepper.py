@@ -41,7 +41,7 @@ from derail_ros.engine.events import (
     remove_constraints,
     speed_of,
 )
-from derail_ros.engine.forces.brakes import next_application
+from derail_ros.engine.forces.brakes import next_application, settle_brakes
 from derail_ros.engine.forces.collisions import first_jump
 from derail_ros.engine.forces.couplers import first_kink, first_limit
 from derail_ros.engine.forces.draft_gear import first_fracture, keep_travel
@@ -147,6 +147,7 @@ def plan_step(model: Model, state: State, work: Work) -> None:
         limit = layout.BY_MOMENT
     elif t + 2.0 * h > switch:
         h = 0.5 * (switch - t)
+    settle_brakes(model, state, work, h)
     trial.size = h
     trial.switch = switch
     trial.limit = limit
@@ -365,6 +366,7 @@ def accept(model: Model, state: State, work: Work) -> int:
     if changed or clock.t == work.trial[0].switch:
         clock.t_on = clock.t
         find_blocks(model, state, work, state.q, state.v)
+        settle_brakes(model, state, work, 0.0)
         if not accelerations(model, state, work, clock.t, state.q, state.v, state.a, PLAIN):
             return SINGULAR
         _keep_forces(state, work)

@@ -29,38 +29,109 @@ LARGEST_BRAKING = 20.0
 
 
 @inner_jit
-def brake_force(
+def _shoe_forces(model: Model, state: State, i: int, t: float) -> tuple[float, float, bool]:
+    """Forces of composition and of cast iron shoes on car ``i`` at rest, at the time ``t``, N.
+
+    And whether a unit is limited by its traction, which the two then leave out. The beginning of
+    the step (``t_on``) decides which instant applications are on, so that a force is never switched
+    inside one.
+    """
+    unit = model.unit
+    arrival = state.arrival
+    t_on = state.clock[0].t_on
+    rise_time = model.par[0].brake_rise
+    composition = 0.0
+    cast_iron = 0.0
+    limited = False
+    for u in range(model.unit_start[i], model.unit_start[i + 1]):
+        if unit[u].shoe == 0.0:
+            continue
+        if t > arrival[u, layout.ARR_TL] or t_on >= arrival[u, layout.ARR_INST_TL]:
+            limited = True
+            continue
+        k = rise(t, arrival[u, layout.ARR_CONV], rise_time)
+        if t_on >= arrival[u, layout.ARR_INST]:
+            k = 1.0
+        f = max(k * unit[u].force, unit[u].hand)
+        if unit[u].shoe == 1.0:
+            composition += f
+        else:
+            cast_iron += f
+    return composition, cast_iron, limited
+
+
+@inner_jit
+def _limited_force(
     model: Model, state: State, i: int, t: float, speed: float, composition: float
 ) -> float:
-    """Retarding force on car ``i`` at the time ``t`` and ``speed`` (m/s), N.
-
-    ``composition`` is the factor of composition shoes at that speed.
-    The beginning of the step (``T_ON``) decides which instant applications are on, so that a
-    force is never switched inside one.
-    """
-    trucks = int(state.truck_on[i, 0]) + int(state.truck_on[i, 1])
-    if trucks == 0:
-        return 0.0
+    """Force of the units of car ``i`` that their traction limits, N."""
     unit = model.unit
     arrival = state.arrival
     t_on = state.clock[0].t_on
     rise_time = model.par[0].brake_rise
     total = 0.0
     for u in range(model.unit_start[i], model.unit_start[i + 1]):
-        shoe = unit[u].shoe
-        if shoe == 0.0:
+        if unit[u].shoe == 0.0:
             continue
-        k = rise(t, arrival[u, layout.ARR_CONV], rise_time)
-        if t_on >= arrival[u, layout.ARR_INST]:
-            k = 1.0
-        f = max(k * unit[u].force, unit[u].hand)
-        f *= composition if shoe == 1.0 else cast_iron_factor(speed)
         if t > arrival[u, layout.ARR_TL] or t_on >= arrival[u, layout.ARR_INST_TL]:
+            k = rise(t, arrival[u, layout.ARR_CONV], rise_time)
+            if t_on >= arrival[u, layout.ARR_INST]:
+                k = 1.0
+            f = max(k * unit[u].force, unit[u].hand)
+            f *= composition if unit[u].shoe == 1.0 else cast_iron_factor(speed)
             k = rise(t, arrival[u, layout.ARR_TL], rise_time)
             if t_on >= arrival[u, layout.ARR_INST_TL]:
                 k = 1.0
-            f = max(f, k * unit[u].traction)
-        total += f
+            total += max(f, k * unit[u].traction)
+    return total
+
+
+@inner_jit
+def settle_brakes(model: Model, state: State, work: Work, h: float) -> None:
+    """Shoe forces of the cars whose brakes do not change within the step ``h`` into ``work.wk``.
+
+    Those of the others are found anew at each moment.
+    """
+    keep_separate()
+    t = state.clock[0].t
+    rise_time = model.par[0].brake_rise
+    arrival = state.arrival
+    for i in range(state.q.shape[0]):
+        settled = True
+        for u in range(model.unit_start[i], model.unit_start[i + 1]):
+            begins = arrival[u, layout.ARR_CONV]
+            settled = settled and (t >= begins + rise_time or t + h <= begins)
+            settled = settled and t + h <= arrival[u, layout.ARR_TL]
+        work.wk[i].settled = 0.0
+        if settled:
+            composition, cast_iron, limited = _shoe_forces(model, state, i, t)
+            if not limited:
+                work.wk[i].settled = 1.0
+                work.wk[i].composition = composition
+                work.wk[i].cast_iron = cast_iron
+
+
+@inner_jit
+def brake_force(
+    model: Model, state: State, wk: Rows, i: int, t: float, speed: float, factor: float
+) -> float:
+    """Retarding force on car ``i`` at the time ``t`` and ``speed`` (m/s), N.
+
+    ``factor`` is that of composition shoes at that speed.
+    """
+    trucks = int(state.truck_on[i, 0]) + int(state.truck_on[i, 1])
+    if trucks == 0:
+        return 0.0
+    composition = wk[i].composition
+    cast_iron = wk[i].cast_iron
+    limited = False
+    if wk[i].settled == 0.0:
+        composition, cast_iron, limited = _shoe_forces(model, state, i, t)
+    total = composition * factor
+    if cast_iron != 0.0:
+        total += cast_iron * cast_iron_factor(speed)
+    if limited:
+        total += _limited_force(model, state, i, t, speed, factor)
     return total * (0.5 * trucks)
 
 
@@ -77,11 +148,13 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
     composition = 1.0
     direction = 0.0
     for i in range(v.shape[0]):
+        if state.truck_on[i, 0] == 0 and state.truck_on[i, 1] == 0:
+            continue
         if work.head[i] == i:  # all cars of a block have one speed
             speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
             composition = composition_factor(speed)
             direction = smooth_direction(speed, eps)
-        f = brake_force(model, state, i, t, speed, composition)
+        f = brake_force(model, state, work.wk, i, t, speed, composition)
         if f != 0.0:
             g = f * direction
             force[i, 0] -= g * v[i, 0]
@@ -120,7 +193,7 @@ def brake_damping(model: Model, state: State, work: Work, t: float, v: F64) -> N
         if work.wk[i].stiff == 0.0:
             continue
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1])
-        f = brake_force(model, state, i, t, speed, composition_factor(speed))
+        f = brake_force(model, state, work.wk, i, t, speed, composition_factor(speed))
         if f != 0.0:
             add_damping(work.wk, i, v, speed, f, eps)
 

@@ -31,15 +31,15 @@ def _share(d: float, border: float) -> float:
 
 @inner_jit
 def look_up(model: Model, work: Work, q: F64) -> None:
-    """Constants and slope of the ground at the points in ``work.ground`` into its rows 6 to 11."""
+    """Constants and slope of the ground at the points in ``work.ground`` into its rows 4 to 9."""
     keep_separate()
     par = model.par[0]
     ground = work.ground
     half = 0.5 * par.border
     for i in range(q.shape[0]):
         for m in range(work.ground_first[i], work.ground_first[i + 1]):
-            x = q[i, 0] + ground[2, m] * work.wk[i].ct
-            y = q[i, 1] + ground[2, m] * work.wk[i].st
+            x = q[i, 0] + ground[1, m] * work.wk[i].ct
+            y = q[i, 1] + ground[1, m] * work.wk[i].st
             c_s = par.ground_cs
             c_d = par.ground_cd
             eps = par.ground_eps
@@ -58,16 +58,16 @@ def look_up(model: Model, work: Work, q: F64) -> None:
                 c_v += share * (row.c_v - c_v)
                 rise_x += share * (row.rise_x - rise_x)
                 rise_y += share * (row.rise_y - rise_y)
-            ground[6, m] = c_s
-            ground[7, m] = c_d
-            ground[8, m] = eps
-            ground[9, m] = c_v
-            ground[10, m] = rise_x
-            ground[11, m] = rise_y
+            ground[4, m] = c_s
+            ground[5, m] = c_d
+            ground[6, m] = eps
+            ground[7, m] = c_v
+            ground[8, m] = rise_x
+            ground[9, m] = rise_y
 
 
 @inner_jit
-def slope_forces(model: Model, work: Work) -> None:
+def slope_forces(model: Model, work: Work, v: F64) -> None:
     """Add the push of the slopes at the points in ``work.ground`` to ``work.force``."""
     keep_separate()
     ground = work.ground
@@ -80,20 +80,20 @@ def slope_forces(model: Model, work: Work) -> None:
         body = last - first == BODY_POINTS
         weight = model.car[i].mass * model.par[0].gravity / (BODY_POINTS if body else 2)
         for m in range(first, last):
-            fx = -weight * ground[10, m]
-            fy = -weight * ground[11, m]
-            r = ground[2, m]
+            fx = -weight * ground[8, m]
+            fy = -weight * ground[9, m]
+            r = ground[1, m]
+            moment = r * (wk[i].ct * fy - wk[i].st * fx)
             force[i, 0] += fx
             force[i, 1] += fy
-            force[i, 2] += r * (wk[i].ct * fy - wk[i].st * fx)
-            taken -= fx * ground[0, m] + fy * ground[1, m]
+            force[i, 2] += moment
+            taken -= fx * v[i, 0] + fy * v[i, 1] + moment * v[i, 2]
             if work.report.shape[0] > 0:
                 k = layout.R_BODY
                 if not body:
                     k = layout.R_TRUCK + (0 if r > 0.0 else 2)
                 work.report[i, k] += fx
                 work.report[i, k + 1] += fy
-                moment = r * (wk[i].ct * fy - wk[i].st * fx)
                 work.report[i, layout.R_GROUND_MOMENT] += moment
     work.power[layout.E_SLOPE] = taken
 
