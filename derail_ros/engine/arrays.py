@@ -132,6 +132,8 @@ class Work(NamedTuple):
     head: I64  # (N,) first car of the block that a car belongs to
     tail: I64  # (N,) and its last one
     live: I64  # (1 + N,) number and list of the cars that may turn or bend
+    scope: I64  # (2,) number of the cars, from the first, that evaluations look at; 1: they give
+    # the rail forces too, and the forces inside blocks
     active: I64  # (1 + P,) number and rows of the pairs that may touch in this step
     corners: I64  # (1 + P,) and which of their corners may: bit 4 side + corner
     seen: F64  # (P, 18) of a pair's corners: gap, m, and squared speed, m^2/s^2; see neighbours
@@ -187,6 +189,7 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool, fixed: int 
         head=np.arange(n),
         tail=np.arange(n),
         live=np.concatenate([[n], np.arange(n)]),
+        scope=np.array([n, 1]),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
         corners=np.full(1 + pair_rows, ALL_CORNERS),
         seen=np.zeros((pair_rows, 18)),

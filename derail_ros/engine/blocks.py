@@ -18,6 +18,7 @@ import numpy as np
 from derail_ros.engine.arrays import ALL_CORNERS, F64, Model, State, Work
 from derail_ros.engine.forces.fixed import list_near
 from derail_ros.engine.jit import inner_jit, jit, keep_separate
+from derail_ros.engine.solver import weigh_blocks
 
 CLOSED = 1e-9
 """Largest gap of a joint inside a block, m."""
@@ -90,6 +91,7 @@ def find_blocks(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
         count += 1
         work.live[count] = i
     work.live[0] = count
+    weigh_blocks(work)
 
 
 def no_blocks(work: Work) -> None:
@@ -98,6 +100,31 @@ def no_blocks(work: Work) -> None:
     work.bound[:] = 0
     work.head[:] = work.tail[:] = work.live[1:] = np.arange(n)
     work.live[0] = n
+
+
+FEW = 4
+"""So few cars of the last block are not left out."""
+
+
+@inner_jit
+def cars_in_scope(model: Model, state: State, work: Work) -> int:
+    """Number of the cars, from the first, that the stages of a step look at.
+
+    Those behind are of the last block, move as its first car does, and have no force but their
+    brakes.
+    """
+    n = state.q.shape[0]
+    scope = work.head[n - 1] + 1
+    par = model.par[0]
+    if par.along != 0.0 or par.guide_strength != 0.0:
+        return n
+    if model.zone.shape[0] > 0 or model.fixed.shape[0] > 0:
+        return n
+    for k in range(model.lateral.shape[0]):
+        scope = max(scope, int(model.lateral[k].car) + 1)
+    for a in range(1, 1 + work.active[0]):
+        scope = max(scope, state.pairs[work.active[a], 1] + 1)  # the second car is further back
+    return scope if scope + FEW <= n else n
 
 
 @inner_jit

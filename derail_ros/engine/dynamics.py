@@ -95,7 +95,7 @@ def accelerations(
         truck_rows(model, state, work, q)
         ok = factor(model, state, work)
     if mode == IMPLICIT:
-        for i in range(q.shape[0]):
+        for i in range(work.scope[0]):
             if wk[i].stiff != 0.0:
                 sx = wk[i].sx
                 sy = wk[i].sy
@@ -103,6 +103,9 @@ def accelerations(
                 force[i, 0] -= wk[i].c_xx * sx + wk[i].c_xy * sy + wk[i].c_xt * sw
                 force[i, 1] -= wk[i].c_xy * sx + wk[i].c_yy * sy + wk[i].c_yt * sw
                 force[i, 2] -= wk[i].c_xt * sx + wk[i].c_yt * sy + wk[i].c_tt * sw
+        if work.scope[0] < q.shape[0]:
+            h = work.head[work.scope[0]]
+            force[h, 0] -= work.trial[0].damping * wk[h].sx
     constraint_gamma(model, state, work, q, v)
     solve(model, state, work, out)
     if geared:

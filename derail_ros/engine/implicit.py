@@ -29,7 +29,7 @@ from derail_ros.engine.forces.brakes import LARGEST_BRAKING, brake_damping
 from derail_ros.engine.forces.ground import ground_damping, largest_drag
 from derail_ros.engine.forces.track import standing
 from derail_ros.engine.jit import inner_jit, keep_separate
-from derail_ros.engine.solver import plain_mass
+from derail_ros.engine.solver import plain_mass, weigh_blocks
 from derail_ros.engine.trigonometry import angles
 
 STIFF = 0.5
@@ -125,8 +125,11 @@ def longest_stable(model: Model, state: State, work: Work, h: float, bound: floa
 
 
 @inner_jit
-def implicit_masses(car: Rows, wk: Rows, factor_h: float) -> None:
-    """Inverse of ``M + factor_h C`` of the stiff cars into ``wk``."""
+def implicit_masses(car: Rows, work: Work, factor_h: float) -> None:
+    """Inverse of ``M + factor_h C`` of the stiff cars into ``work.wk``."""
+    wk = work.wk
+    trial = work.trial[0]
+    trial.damping = 0.0
     for i in range(wk.shape[0]):
         if wk[i].stiff == 0.0:
             continue
@@ -140,20 +143,25 @@ def implicit_masses(car: Rows, wk: Rows, factor_h: float) -> None:
         b = xt * yt - xy * tt
         c = xy * yt - xt * yy
         det = xx * a + xy * b + xt * c
+        if i >= trial.scope:
+            trial.damping += wk[i].c_xx
         wk[i].m_xx = a / det
         wk[i].m_xy = b / det
         wk[i].m_xt = c / det
         wk[i].m_yy = (xx * tt - xt * xt) / det
         wk[i].m_yt = (xy * xt - xx * yt) / det
         wk[i].m_tt = (xx * yy - xy * xy) / det
+    weigh_blocks(work)
 
 
 @inner_jit
-def restore_masses(car: Rows, wk: Rows) -> None:
-    """Inverse of ``M`` of the stiff cars into ``wk``, to the bit as ``plain_masses`` has it.
+def restore_masses(car: Rows, work: Work) -> None:
+    """Inverse of ``M`` of the stiff cars into ``work.wk``, to the bit as ``plain_masses`` has it.
 
     A run that goes on from a saved state begins with those.
     """
+    wk = work.wk
     for i in range(wk.shape[0]):
         if wk[i].stiff != 0.0:
             plain_mass(car, wk, i)
+    weigh_blocks(work)

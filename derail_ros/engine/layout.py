@@ -191,6 +191,7 @@ WORK = _table("""
     sx sy sw  # what the implicit stages add to the velocities' change
     ct0 st0  # cos, sin of theta at the beginning of the step
     settled composition cast_iron  # 1: its brakes stay as they are in the step: of its shoes, N
+    block  # mass of the block that it leads, with implicit friction, kg
 """)
 ROW = _table("""
     nx ny arm  # row of J
@@ -207,6 +208,9 @@ TRIAL = _table("""
     implicit  # 1: friction was taken implicitly
     limit  # what sets the size
     rejected  # 1: a trial of this step was bad
+    scope  # number of the cars that its stages look at
+    mass damping  # of the cars behind those: kg, and of implicit friction along the track, kg/s
+    settled composition cast_iron  # their brakes, as a car's in WORK
 """)
 
 # Codes ---------------------------------------------------------------------------------------

@@ -125,13 +125,21 @@ def _mobility(w: Any, front: Any, rear: Any, on_f: bool, on_r: bool) -> bool:
 
 
 @inner_jit
+def weigh_blocks(work: Work) -> None:
+    """Masses of the blocks, or of single cars that are bound, to their first cars."""
+    for i in range(work.wk.shape[0]):
+        if work.bound[i] and work.head[i] == i:
+            mass = 0.0
+            for j in range(i, work.tail[i] + 1):
+                mass += 1.0 / work.wk[j].m_xx
+            work.wk[i].block = mass
+
+
+@inner_jit
 def _bound_mobility(work: Work, i: int) -> None:
     """Mobility of the block that car ``i`` leads, or of a car that is bound, into its ends."""
-    last = work.tail[i]
-    mass = 0.0
-    for j in range(i, last + 1):
-        mass += 1.0 / work.wk[j].m_xx
-    for j in (i, last):
+    mass = work.wk[i].block
+    for j in (i, work.tail[i]):
         w = work.wk[j]
         w.w_xx = 1.0 / mass
         w.w_xy = 0.0
@@ -152,7 +160,7 @@ def factor(model: Model, state: State, work: Work) -> bool:
     head = work.head
     tail = work.tail
     geared = model.par[0].gear != 0.0
-    n = wk.shape[0]
+    n = work.scope[0]
     ok = True
     for i in range(n):
         w = wk[i]
@@ -237,7 +245,7 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
     """``M x = work.force + J^T lambda``, ``J x = gamma`` with the factors in ``work.wk``.
 
     ``x`` is (N, 5); gamma is in ``work.gamma_t`` (N, 2) and ``work.gamma_c`` (N-1, 2), lambda goes
-    into ``work.lam_t`` and ``work.lam_c``.
+    into ``work.lam_t`` and ``work.lam_c``, all of it if ``work.scope`` says so.
     """
     keep_separate()
     car = model.car
@@ -251,7 +259,8 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
     lam_c = work.lam_c
     head = work.head
     tail = work.tail
-    n = wk.shape[0]
+    n = work.scope[0]
+    loads = work.scope[1] != 0
     for i in range(n):
         w = wk[i]
         x[i, 3] = force[i, 3] * w.m_front
@@ -259,12 +268,13 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
         if work.bound[i]:
             if head[i] == i:
                 f0 = 0.0
-                for j in range(i, tail[i] + 1):
+                last = min(tail[i], n - 1)
+                for j in range(i, last + 1):
                     f0 += force[j, 0]
                     x[j, 1] = 0.0
                     x[j, 2] = 0.0
                 x[i, 0] = w.w_xx * f0
-                x[tail[i], 0] = x[i, 0]
+                x[last, 0] = x[i, 0]
             continue
         f0 = force[i, 0]
         f1 = force[i, 1]
@@ -338,10 +348,14 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
 
     # all cars of a block go together; what a joint carries follows from the cars ahead of it
     for i in range(n):
-        last = tail[i]
+        last = min(tail[i], n - 1)
         if head[i] < i or last == i:
             continue
-        a0 = x[i, 0] + x[last, 0]
+        a0 = x[i, 0] + x[last, 0] if last == tail[i] else x[i, 0]
+        if not loads:
+            for j in range(i, last + 1):
+                x[j, 0] = a0
+            continue
         carried = 0.0
         if i > 0 and coupled[i - 1]:
             carried = lam_c[i - 1, 0]
@@ -352,6 +366,8 @@ def solve(model: Model, state: State, work: Work, x: F64) -> None:
                 lam_c[j, 0] = carried
                 lam_c[j, 1] = 0.0
 
+    if not loads:
+        return
     # rail forces: G^-1 gamma - P^T (Q + coupler forces)
     for i in range(n):
         lam_t[i, 0] = 0.0

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from derail_ros.engine import layout
 from derail_ros.engine.arrays import Model, State, Work
-from derail_ros.engine.blocks import find_blocks
+from derail_ros.engine.blocks import cars_in_scope, find_blocks
 from derail_ros.engine.contacts import track_contacts
 from derail_ros.engine.contacts_fixed import note_inside, track_fixed
 from derail_ros.engine.dynamics import (
@@ -147,6 +147,11 @@ def plan_step(model: Model, state: State, work: Work) -> None:
         limit = layout.BY_MOMENT
     elif t + 2.0 * h > switch:
         h = 0.5 * (switch - t)
+    scope = cars_in_scope(model, state, work)
+    trial.scope = scope
+    trial.mass = 0.0
+    for i in range(scope, state.q.shape[0]):
+        trial.mass += model.car[i].mass
     settle_brakes(model, state, work, h)
     trial.size = h
     trial.switch = switch
@@ -165,6 +170,16 @@ def try_stages(model: Model, state: State, work: Work) -> int:
     trial.error = math.inf
     # feet of the trucks start from the accepted state, whatever a rejected trial left
     copy_rows(state.truck_s, work.truck_s)
+    work.scope[1] = 0
+    verdict = _stages_onto_constraints(model, state, work, h)
+    work.scope[1] = 1
+    return verdict
+
+
+@inner_jit
+def _stages_onto_constraints(model: Model, state: State, work: Work, h: float) -> int:
+    """The work of ``try_stages``."""
+    trial = work.trial[0]
     if not take_stages(model, state, work, h):
         return INACCURATE
     if strays(model, state, work, h):

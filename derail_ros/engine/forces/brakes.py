@@ -33,8 +33,8 @@ def _shoe_forces(model: Model, state: State, i: int, t: float) -> tuple[float, f
     """Forces of composition and of cast iron shoes on car ``i`` at rest, at the time ``t``, N.
 
     And whether a unit is limited by its traction, which the two then leave out. The beginning of
-    the step (``t_on``) decides which instant applications are on, so that a force is never switched
-    inside one.
+    the step (``t_on``) decides which instant applications are on, so that a force is never
+    switched inside one.
     """
     unit = model.unit
     arrival = state.arrival
@@ -93,6 +93,10 @@ def settle_brakes(model: Model, state: State, work: Work, h: float) -> None:
     Those of the others are found anew at each moment.
     """
     keep_separate()
+    trial = work.trial[0]
+    trial.settled = 1.0
+    trial.composition = 0.0
+    trial.cast_iron = 0.0
     t = state.clock[0].t
     rise_time = model.par[0].brake_rise
     arrival = state.arrival
@@ -109,6 +113,10 @@ def settle_brakes(model: Model, state: State, work: Work, h: float) -> None:
                 work.wk[i].settled = 1.0
                 work.wk[i].composition = composition
                 work.wk[i].cast_iron = cast_iron
+        if i >= trial.scope:
+            trial.settled = min(trial.settled, work.wk[i].settled)
+            trial.composition += work.wk[i].composition
+            trial.cast_iron += work.wk[i].cast_iron
 
 
 @inner_jit
@@ -147,7 +155,8 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
     speed = 0.0
     composition = 1.0
     direction = 0.0
-    for i in range(v.shape[0]):
+    n = work.scope[0]
+    for i in range(n):
         if state.truck_on[i, 0] == 0 and state.truck_on[i, 1] == 0:
             continue
         if work.head[i] == i:  # all cars of a block have one speed
@@ -162,6 +171,19 @@ def brake_forces(model: Model, state: State, work: Work, t: float, v: F64) -> No
             power += g * speed * speed
             if reporting:
                 report[i, layout.R_BRAKE] = f * speed * direction
+    if n < v.shape[0]:  # the others are of the last block
+        trial = work.trial[0]
+        f = 0.0
+        if trial.settled != 0.0:
+            f = trial.composition * composition
+            if trial.cast_iron != 0.0:
+                f += trial.cast_iron * cast_iron_factor(speed)
+        else:
+            for i in range(n, v.shape[0]):
+                f += brake_force(model, state, work.wk, i, t, speed, composition)
+        h = work.head[n]
+        force[h, 0] -= f * direction * v[h, 0]
+        power += f * direction * speed * speed
     work.power[layout.E_BRAKE] = power
 
 

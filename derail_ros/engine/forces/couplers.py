@@ -58,7 +58,7 @@ def _striker(striker: Rows, q: F64, v: F64, i: int, end: int) -> tuple[float, fl
 def coupler_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> None:
     """Set ``work.force`` to the forces of strikers and knuckles."""
     keep_separate()
-    n = q.shape[0]
+    n = work.scope[0]
     striker = model.striker
     force = work.force
     report = work.report
@@ -168,7 +168,7 @@ def coupling_gamma(model: Model, state: State, work: Work, q: F64, v: F64) -> No
     car = model.car
     wk = work.wk
     stabilize = par.project == 0.0
-    for k in range(q.shape[0] - 1):
+    for k in range(work.scope[0] - 1):
         if state.coupled[k] == 0 or work.head[k + 1] <= k:
             continue
         w1 = car[k].pivot * v[k, 2] * v[k, 2]

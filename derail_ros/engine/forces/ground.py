@@ -38,7 +38,8 @@ def _gather(model: Model, state: State, work: Work, v: F64, stiff: bool) -> int:
     ground = work.ground
     truck_on = state.truck_on
     m = 0
-    for i in range(v.shape[0]):
+    n = work.scope[0]
+    for i in range(n):
         work.ground_first[i] = m
         if (truck_on[i, 0] and truck_on[i, 1]) or (stiff and wk[i].stiff == 0.0):
             continue
@@ -61,7 +62,7 @@ def _gather(model: Model, state: State, work: Work, v: F64, stiff: bool) -> int:
                 ground[0, m] = along * along + turned * turned
                 ground[1, m] = r
                 m += 1
-    work.ground_first[v.shape[0]] = m
+    work.ground_first[n] = m
     return m
 
 
@@ -113,7 +114,7 @@ def ground_forces(model: Model, state: State, work: Work, q: F64, v: F64) -> Non
         ground[2, m] = drag(math.sqrt(ground[0, m]), c_s, c_d, eps, c_v)
     p_truck = 0.0
     p_body = 0.0
-    for i in range(v.shape[0]):
+    for i in range(work.scope[0]):
         first = work.ground_first[i]
         last = work.ground_first[i + 1]
         if first == last:
@@ -194,7 +195,7 @@ def ground_damping(model: Model, state: State, work: Work, q: F64, v: F64) -> No
         across, along = drag_slopes(math.sqrt(ground[0, m]), c_s, c_d, eps, c_v)
         ground[2, m] = across
         ground[3, m] = along
-    for i in range(v.shape[0]):
+    for i in range(work.scope[0]):
         first = work.ground_first[i]
         last = work.ground_first[i + 1]
         if first == last:

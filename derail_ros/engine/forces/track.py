@@ -65,7 +65,7 @@ def truck_rows(model: Model, state: State, work: Work, q: F64) -> None:
     keep_separate()
     wk = work.wk
     straight = model.track.shape[0] == 0
-    for i in range(q.shape[0]):
+    for i in range(work.scope[0]):
         if work.bound[i]:
             state.truck_s[i, 0] = q[i, 0] + model.car[i].truck
             state.truck_s[i, 1] = q[i, 0] - model.car[i].truck
