@@ -67,7 +67,7 @@ def run(
 ) -> int:  # fmt: skip
     """Predict how many cars derail, with bands, from runs with calibrated constants."""
     from derail_ros.models import source_hash
-    from derail_ros.predict.prediction import predict
+    from derail_ros.predict.prediction import differs, predict
     from derail_ros.scenario.calibrated import load_calibrated
 
     group = _group(cause)
@@ -93,6 +93,7 @@ def run(
     report = {
         "title": title,
         **found.as_dict(hazardous),
+        "differs": "" if scenario is None else differs(found, subject.to_params()),
         "seed": seed,
         "provenance": dict(constants.provenance),
         "warnings": warnings,
@@ -229,5 +230,7 @@ def _print(found: Prediction, report: Any, title: str, output: Path | None) -> N
         for name, d, _ in rows
     ]
     common.print_tables(Table(["", "mean", "5 %", "25 %", "median", "75 %", "95 %"], cells))
+    if report["differs"]:
+        console.print(report["differs"], soft_wrap=True, markup=False)
     if output is not None:
         console.print(f"results in {output}", soft_wrap=True)

@@ -61,7 +61,7 @@ def picture(found: Prediction, title: str) -> Figure:
     less, _ = np.histogram(counts[good & few], edges)
     k = np.arange(1, top + 1)[: len(pile)]
     axes.bar(k, share * less, width=0.9, color=FEW_COLOUR, hatch="....", edgecolor="white",
-             lw=0.0, label="a few cars, dragged along (learned share)")  # fmt: skip
+             lw=0.0, label="dragged along in line, no pile-up")  # fmt: skip
     axes.bar(k, share * pile, width=0.9, bottom=share * less, color=BLUE, label="a pile-up")
     dress(axes, "y")
     axes.set_ylabel("share of such accidents, %")

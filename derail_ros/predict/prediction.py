@@ -18,7 +18,7 @@ from derail_ros.scenario.calibrated import Calibrated, load_calibrated
 from derail_ros.studies.accidents import KMH_PER_MPH
 from derail_ros.studies.ensemble import Progress
 from derail_ros.vocabulary.params import TrainParams
-from derail_ros.vocabulary.words import finite
+from derail_ros.vocabulary.words import finite, joined
 
 F64 = NDArray[np.float64]
 
@@ -123,11 +123,14 @@ class Prediction:
         """The prediction in words."""
         d = self.as_dict()
         n, t = d["cars_derailed"], self.train
-        few = (
-            f" In {self.few_share:.0%} of them only a few cars derail and are dragged along."
-            if self.few_share
-            else ""
-        )
+        dragged = [m.few for m in self.drawn if m.few]
+        few = ""
+        if dragged:
+            few = (
+                f" In {len(dragged) / len(self.drawn):.0%} of them no pile-up forms: the derailed "
+            )
+            few += f"cars are dragged along in line, {np.mean(dragged):.0f} on average and "
+            few += f"{max(dragged)} at most, as in reports."
         return [
             f"{t.speed * 3.6:.0f} km/h ({t.speed * 3.6 / KMH_PER_MPH:.0f} mph), {t.behind} cars "
             f"from the break to the end, {t.mass / 1e3:.0f} t a car, {CAUSES[self.cause]}; "
@@ -135,6 +138,50 @@ class Prediction:
             f"Cars derailed: {n['mean']:.0f} on average. Half of such accidents derail "
             f"{n['q25']:.0f} to {n['q75']:.0f}, nine of ten {n['q05']:.0f} to {n['q95']:.0f}.",
         ]
+
+
+APART = 1.0 / 3.0
+"""Means that differ by more are told apart, of the statistical one."""
+
+
+def differs(found: Prediction, params: TrainParams) -> str:
+    """Why a scenario's runs may differ from the statistical models, which know the train only.
+
+    "" where the mean of the runs is within a third of the statistical models' mean and inside
+    their 90 % bands.
+    """
+    counts = found.cars_derailed
+    if not len(counts):
+        return ""
+    mean = float(counts.mean())
+    usual = float(np.mean([scores.mean(p) for p in found.statistical.values()]))
+    bands = [[scores.quantile(p, q) for q in (0.05, 0.95)] for p in found.statistical.values()]
+    if abs(mean - usual) <= APART * usual and all(a <= mean <= b for a, b in bands):
+        return ""
+    has = []
+    curvature = [abs(c) for s in params.track.segments
+                 for c in (s.curvature_start, s.curvature_end) if c]  # fmt: skip
+    if curvature:
+        has.append(f"a curve of {1.0 / max(curvature):.0f} m radius")
+    grades = [g.grade for g in params.track.grades if g.grade]
+    if grades:
+        steepest = max(grades, key=abs)
+        has.append(f"a grade of {100.0 * steepest:+.1f} %")
+    brakes = params.brakes
+    if not brakes.triggers:
+        late = (
+            "begin only where a coupling parts" if brakes.vent_on_parting else "are never applied"
+        )
+        has.append(f"brakes that {late}")
+    if params.couplings.breaks:
+        has.append("couplings that break in tension")
+    if params.standing or params.site.fixed:
+        has.append("bodies beside the track")
+    text = (
+        f"The runs derail {mean:.0f} cars on average, the statistical models {usual:.0f}: those "
+        "know only speed, number, mass and load of the cars, and the cause"
+    )
+    return f"{text}. This scenario also has {joined(has)}." if has else f"{text}."
 
 
 def quick_band(params: TrainParams) -> str:
