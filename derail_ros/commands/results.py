@@ -29,6 +29,7 @@ from derail_ros.vocabulary.measures import (
     shown_of,
 )
 from derail_ros.vocabulary.params import PLANAR
+from derail_ros.vocabulary.site import site_rows
 from derail_ros.vocabulary.status import TIME_LIMIT, VOID
 from derail_ros.vocabulary.words import capital, count, force
 
@@ -178,6 +179,7 @@ def write_csv(path: Path, records: Sequence[Record], inputs: Sequence[Record] = 
                 "peak_force_pair": "" if pair is None else f"{pair[0]}-{pair[1]}",
                 **({name: inputs[i].get(name, "") for name in drawn}),
                 **record_numbers(record),
+                **_cars_at(record),
             }
         )
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -185,6 +187,15 @@ def write_csv(path: Path, records: Sequence[Record], inputs: Sequence[Record] = 
         writer = csv.DictWriter(file, names, restval="")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def _cars_at(record: Record) -> dict[str, int]:
+    """Numbers of cars that entered each area and that struck each fixed body."""
+    site = record.get("site") or {"inside": [], "fixed": []}
+    return {
+        **{f"entered.{e['name']}": len(e["cars_ever"]) for e in site["inside"]},
+        **{f"struck.{e['name']}": len(e["struck_by"]) for e in site["fixed"]},
+    }
 
 
 # Tables ------------------------------------------------------------------------------------
@@ -200,6 +211,8 @@ def _print(report: Record, output: Path | None, verbose: bool, about: Sequence[s
         common.print_tables(_one_run(report["outcomes"][0], groups, report["constants"]))
     else:
         common.print_tables(_many_runs(report, groups))
+        if any(report["site"].values()):
+            common.print_tables(_reached(report["site"]))
         console.print(_counts(report))
     for line in (*(f"{capital(said)}." for said in report["limits"]), *about):
         console.print(escape(line), soft_wrap=True)
@@ -250,7 +263,10 @@ def _one_run(record: Record, groups: Sequence[str], constants: str) -> Table:
         rows.append(("car to look at", f"{b}: {hard} at {record['peak_force_time_s']:.2f} s"))
     elif record.get("derailed_cars"):
         rows.append(("car to look at", f"{record['first_derailed']}: the first off the rails"))
-    return Table(("outcome", ""), rows + measures[len(LEAD) :], texts=2)
+    rows += measures[len(LEAD) :]
+    if record.get("site"):
+        rows += site_rows(record["site"])
+    return Table(("outcome", ""), rows, texts=2)
 
 
 def _many_runs(report: Record, groups: Sequence[str]) -> Table:
@@ -270,6 +286,25 @@ def _many_runs(report: Record, groups: Sequence[str]) -> Table:
 def _whole(m: Measure, value: float) -> float:
     """A quantile; of a count a whole number."""
     return round(value) if m.whole and math.isfinite(value) else value
+
+
+def _reached(site: Record) -> Table:
+    """How often cars enter each area and strike each fixed body."""
+    rows = []
+    for part, key, words in (("inside", "cars_ever", "a car enters"),
+                             ("fixed", "struck_by", "a car strikes it")):  # fmt: skip
+        for one in site[part]:
+            k, n = one[f"runs_{key}"], one["runs"]
+            low, high = (100.0 * limit for limit in one[f"interval_{key}"])
+            between = f"{low:.0f} to {high:.0f} %"
+            if k == 0:
+                between = f"below {high:.0f} %"
+            elif k == n:
+                between = f"above {low:.0f} %"
+            rows.append(
+                (f"{one['name']}: {words}", f"{k} of {n}", f"{100 * k / n:.0f} %", between)
+            )
+    return Table(("place", "runs", "share", "90 % interval"), rows)
 
 
 def _counts(report: Record) -> str:

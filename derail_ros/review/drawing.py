@@ -244,6 +244,28 @@ def site(scene: Scene, margin: float = 7.0, reach: float = 40.0, cars: int = 8) 
     return window_of(np.concatenate([points, near]), margin)
 
 
+def with_areas(window: Window, scene: Scene, margin: float = 7.0) -> Window:
+    """The window grown to the areas beside it: cars in none of them is an answer too.
+
+    An area further away than the window is long, or than 100 m, is left out, and of one that
+    reaches further only its near edge is taken in.
+    """
+    x0, x1, y0, y1 = window
+    reach = max(x1 - x0, y1 - y0, 100.0)
+    far = (x0 - reach, x1 + reach, y0 - reach, y1 + reach)
+    middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
+    taken = [np.array([[x0, y0], [x1, y1]])]
+    for shape in scene.site:
+        if shape.role != "area":
+            continue
+        if all(within(far, *p) for p in shape.points):
+            taken += [shape.points - margin, shape.points + margin]
+        elif len(near := _seen(shape.points, far)) and not len(_seen(shape.points, window)):
+            apart = np.linalg.norm(near - middle, axis=1)
+            taken += [near[[apart.argmin()]] - margin, near[[apart.argmin()]] + margin]
+    return window_of(np.concatenate(taken), 0.0)
+
+
 def show(axes: Axes, window: Window) -> None:
     """Prepare axes for a picture to scale."""
     axes.set_xlim(window[0], window[1])

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @styled
 def final_scene(scene: Scene) -> Figure:
     """Draw the scene to scale from above, the pile-up large, the whole train in a strip below."""
-    window = drawing.site(scene)
+    window = drawing.with_areas(drawing.site(scene), scene)
     inner = WIDTH - 1.0
     aspect = (window[3] - window[2]) / (window[1] - window[0])
     tall = float(np.clip(inner * aspect, 3.2, 8.0))

@@ -27,8 +27,10 @@ from derail_ros.vocabulary.words import finite
 F64 = NDArray[np.float64]
 Feature = dict[str, Any]
 
-SHARES = (0.05, 0.5, 0.95)
-"""Probabilities of being covered that are drawn."""
+ANY = 0.0
+"""Stands for a place that is covered in any of the runs."""
+SHARES = (ANY, 0.05, 0.5, 0.95)
+"""Shares of the runs in which places are covered that are drawn."""
 CELL = 0.5
 """Side of the cells in which it is counted, m."""
 ROUND = [CORNERS.index(c) for c in ("front left", "front right", "rear right", "rear left")]
@@ -83,7 +85,11 @@ def footprints(
     collisions: Iterable[Collision],
     on: Map,
 ) -> list[Feature]:
-    """The cars in a pose (N, 6): what they are, and what happened to them."""
+    """The cars in a pose (N, 6): what they are, and what happened to them.
+
+    ``name`` is the reporting mark of a car of a consist list. Cars on the rails have no side and
+    no offset.
+    """
     corners = outlines(cars, pose)
     _, offset = line.locate_all(*pose[:, :2].T)
     struck: dict[int, tuple[float, str]] = {}
@@ -94,17 +100,19 @@ def footprints(
     found = []
     for i in np.flatnonzero(cars.real):
         force, by = struck.get(int(i) + 1, (0.0, ""))
+        off = int(i) + 1 in (*outcome.derailed_cars, *outcome.standing.derailed)
         found.append(
             on.feature(
                 corners[i],
                 True,
                 car=int(i) + 1,
+                name=cars.name[i],
                 type=cars.kind[i] or cars.name[i],
                 contents=cars.contents[i],
                 standing=bool(cars.cut[i]),
-                derailed=int(i) + 1 in (*outcome.derailed_cars, *outcome.standing.derailed),
-                side="left" if offset[i] > 0.0 else "right",
-                offset_m=round(float(offset[i]), 2),
+                derailed=off,
+                side=("left" if offset[i] > 0.0 else "right") if off else None,
+                offset_m=round(float(offset[i]), 2) if off else None,
                 largest_force_N=finite(force, 4),
                 struck_by=by,
             )
@@ -196,7 +204,7 @@ def covered(footprints: Sequence[F64], cell: float = CELL) -> dict[float, Any]:
     shapes = {}
     for share in SHARES:
         strips = []
-        for i, column in enumerate(probability >= share - 1e-12):
+        for i, column in enumerate(probability > max(share - 1e-12, 0.0)):
             ends = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
             for j, k in zip(ends[::2], ends[1::2], strict=True):
                 x0, y0 = low + cell * np.array([i, j])
@@ -207,17 +215,30 @@ def covered(footprints: Sequence[F64], cell: float = CELL) -> dict[float, Any]:
 
 
 def cover_features(shapes: Mapping[float, Any], members: int, on: Map) -> list[Feature]:
-    """Polygons of the places that are covered with a probability or more."""
+    """One MultiPolygon for each share of :func:`covered`."""
+    from shapely.geometry.polygon import orient
+
+    def ring(of: Any) -> list[list[float]]:
+        places = on.coordinates(np.array(of.coords)[:-1])
+        return [*places, places[0]]
+
+    def polygon(part: Any) -> list[list[list[float]]]:
+        part = orient(part)  # RFC 7946: counter-clockwise, holes clockwise
+        return [ring(part.exterior), *map(ring, part.interiors)]
+
     found = []
     for share, shape in shapes.items():
-        for part in getattr(shape, "geoms", [shape]):
-            rings = [np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors)]
-            feature = on.feature(
-                rings[0], True, probability=share, members=members, area_m2=round(part.area, 2)
-            )
-            holes = [on.coordinates(ring) for ring in rings[1:]]
-            feature["geometry"]["coordinates"] += [[*hole, hole[0]] for hole in holes]
-            found.append(feature)
+        parts = [polygon(part) for part in getattr(shape, "geoms", [shape])]
+        told = {
+            "covered": "in any run"
+            if share == ANY
+            else f"in {100 * share:g} % of the runs or more",
+            "probability": round(1.0 / members, 4) if share == ANY else share,
+            "members": members,
+            "area_m2": round(shape.area, 2),
+        }
+        geometry = {"type": "MultiPolygon", "coordinates": parts}
+        found.append({"type": "Feature", "geometry": geometry, "properties": told})
     return found
 
 
@@ -232,9 +253,11 @@ def kml(title: str, layers: Mapping[str, Sequence[Feature]]) -> bytes:
         for feature in features:
             told = feature["properties"]
             mark = ElementTree.SubElement(folder, "Placemark")
-            words = told.get("name") or (f"car {told['car']}" if "car" in told else "")
-            if "probability" in told:
-                words = f"covered with {100 * told['probability']:g} % or more"
+            words = told.get("name") or ""
+            if "car" in told:
+                words = f"car {told['car']}" + (f", {words}" if words else "")
+            if "covered" in told:
+                words = f"covered {told['covered']}"
             ElementTree.SubElement(mark, "name").text = words
             text = "\n".join(f"{key}: {value}" for key, value in told.items())
             ElementTree.SubElement(mark, "description").text = text
@@ -251,10 +274,14 @@ def _kml_geometry(mark: ElementTree.Element, geometry: Feature) -> None:
     if geometry["type"] == "LineString":
         coordinates(ElementTree.SubElement(mark, "LineString"), geometry["coordinates"])
         return
-    polygon = ElementTree.SubElement(mark, "Polygon")
-    for k, ring in enumerate(geometry["coordinates"]):
-        bound = ElementTree.SubElement(polygon, "innerBoundaryIs" if k else "outerBoundaryIs")
-        coordinates(ElementTree.SubElement(bound, "LinearRing"), ring)
+    parts = [geometry["coordinates"]]
+    if geometry["type"] == "MultiPolygon":
+        parts, mark = geometry["coordinates"], ElementTree.SubElement(mark, "MultiGeometry")
+    for part in parts:
+        polygon = ElementTree.SubElement(mark, "Polygon")
+        for k, ring in enumerate(part):
+            bound = ElementTree.SubElement(polygon, "innerBoundaryIs" if k else "outerBoundaryIs")
+            coordinates(ElementTree.SubElement(bound, "LinearRing"), ring)
 
 
 def export(run: RecordedRun, output: Path, members: Sequence[F64] = ()) -> dict[str, int]:

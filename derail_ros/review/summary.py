@@ -18,6 +18,7 @@ from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.ledger import shares, stopped_by
 from derail_ros.vocabulary.limits import limits, train_force_limits
 from derail_ros.vocabulary.measures import NUMERICS, outcome_record, shown_rows
+from derail_ros.vocabulary.site import site_rows
 from derail_ros.vocabulary.status import AT_REST
 from derail_ros.vocabulary.words import capital, finite
 
@@ -346,6 +347,7 @@ def _outcome(run: RecordedRun, record: dict[str, Any]) -> list[str]:
         at = o.rear_part_coordinate
         stop = f" at {words.coordinate(at)} m" if math.isfinite(at) else ""
         rows.append((label, f"from car {o.rear_part_first_car} on, its front truck{stop}"))
+    rows += site_rows(record["site"])
     width = 2 + max(len(label) for label, _ in rows)
     return [f"  {label:<{width}}{value}" for label, value in rows]
 

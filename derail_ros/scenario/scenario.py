@@ -444,7 +444,10 @@ def _read_site(document: Document, folder: FilePath | None) -> None:
             reason = "only goes with a scenario in a file: give its content here"
             raise document.error(place, reason)
         content = files.read_text(folder / name).encode()
-        document.notes += add(document.data, name, content)
+        try:
+            document.notes += add(document.data, name, content)
+        except Refusal as refusal:
+            raise document.error(refusal.path, refusal.reason) from None
         document.files = {**document.files, name: content}
 
 

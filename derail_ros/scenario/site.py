@@ -29,6 +29,7 @@ from derail_ros.scenario.schema import (
     Site,
     ZoneSpec,
 )
+from derail_ros.scenario.schema import Datum as DatumSpec
 from derail_ros.scenario.second_tracks import check_track, drawn_track
 from derail_ros.scenario.strict_yaml import Path
 from derail_ros.scenario.units import canonical, field_of
@@ -225,7 +226,7 @@ def add_alignment(data: dict[str, Any], file: str, content: bytes) -> list[str]:
 
     track = data["track"]
     tolerance = track.pop("file_tolerance_m", 0.01)
-    for key in ("alignment", "grades", "start_x_m", "start_y_m", "start_heading_rad"):
+    for key in ("alignment", "start_x_m", "start_y_m", "start_heading_rad"):
         if track.get(key):
             raise ScenarioError(
                 file, None, f"track.{key}", "comes from the file too: give one of the two"
@@ -244,6 +245,9 @@ def add_alignment(data: dict[str, Any], file: str, content: bytes) -> list[str]:
     text = f"{len(track['alignment'])} pieces of track, residual {fit.plan.rms:.3g} m (root mean "
     text += f"square), {fit.plan.largest:.3g} m at most"
     if fit.grades is not None:
+        if track.get("grades"):
+            reason = "come from the heights of the file too: give one of the two"
+            raise ScenarioError(file, None, "track.grades", reason)
         begin = track.get("start_coordinate_m", 0.0)
         track["grades"] = list(_grades(fit.grades, begin))
         text += f"; heights {fit.grades.rms:.3g} m, {fit.grades.largest:.3g} m at most"
@@ -457,9 +461,11 @@ def _to_frame(file: str, data: dict[str, Any], site: dict[str, Any]) -> ToFrame:
         reason = "longitude and latitude need site.datum (or reference_system: local, in metres)"
         raise ScenarioError(file, None, "", reason)
     try:
-        datum = datum_of({"datum": {"altitude_m": 0.0, "azimuth_deg": 90.0, **given}})
-    except (KeyError, TypeError) as error:
-        raise ScenarioError(file, None, "site.datum", f"lacks {error}") from None
+        checked = DatumSpec.model_validate(canonical(given, DatumSpec, (), {}))
+    except ValidationError as error:
+        mistake = first_mistake(error, DatumSpec)
+        raise Refusal(("site", "datum", *mistake.path), mistake.reason) from None
+    datum = datum_of({"datum": checked.model_dump()})
     assert datum is not None
     if system in ("", "EPSG:4326"):
         return _by_degrees(datum)

@@ -121,6 +121,7 @@ def cover(scene: Scene, footprints: Sequence[F64]) -> Figure:
     often = low + maps.CELL * np.argwhere(probability >= OFTEN)
     off = scene.outlines()[scene.derailed & scene.real]
     window = drawing.window_of(np.concatenate([often, off.reshape(-1, 2)]), 10.0)
+    window = drawing.with_areas(window, scene)
     inner = WIDE - 0.5
     aspect = float(np.clip((window[3] - window[2]) / (window[1] - window[0]), 0.3, 1.3))
     window = drawing.fit(window, aspect)

@@ -181,24 +181,23 @@ class Ensemble:
         )
 
     def site(self) -> dict[str, Any]:
-        """Shares of the runs: bodies that were struck, areas that some car reached or stays in."""
+        """Runs in which bodies were struck, and in which cars reached areas or stay in them.
+
+        For each its share of the runs and the :func:`interval` of that share.
+        """
         runs = [r["site"] for r in self.good if r.get("site")]
-
-        def share(part: str, name: str, key: str) -> float:
-            return sum(bool(e[key]) for r in runs for e in r[part] if e["name"] == name) / len(
-                runs
-            )
-
-        first = runs[0] if runs else {"fixed": [], "inside": []}
-        names = {k: [e["name"] for e in first[k]] for k in first if k != "zones"}
         keys = {"fixed": ("struck_by",), "inside": ("cars_ever", "cars_at_rest")}
-        return {
-            part: [
-                {"name": name, **{f"share_{key}": share(part, name, key) for key in keys[part]}}
-                for name in names[part]
-            ]
-            for part in names
-        }
+        first = runs[0] if runs else {part: [] for part in keys}
+
+        def told(part: str, name: str) -> Record:
+            found: Record = {"name": name, "runs": len(runs)}
+            for key in keys[part]:
+                k = sum(bool(e[key]) for r in runs for e in r[part] if e["name"] == name)
+                found |= {f"share_{key}": k / len(runs), f"runs_{key}": k}
+                found[f"interval_{key}"] = [finite(x, 4) for x in interval(k, len(runs))]
+            return found
+
+        return {part: [told(part, e["name"]) for e in first[part]] for part in keys}
 
     def counts(self) -> dict[str, Any]:
         """Numbers of runs and the reasons of failed ones, as plain data."""
@@ -208,6 +207,24 @@ class Ensemble:
             "failed": self.failed,
             "errors": self.errors,
         }
+
+
+LEVEL = 0.9
+"""Level of the interval of a share."""
+
+
+def interval(k: int, n: int) -> tuple[float, float]:
+    """Limits of a probability by ``k`` of ``n`` runs, of the level :data:`LEVEL`.
+
+    Clopper and Pearson: under each limit what was seen, or what is further off, has a probability
+    of 5 %.
+    """
+    from scipy.special import betaincinv
+
+    half = 0.5 * (1.0 - LEVEL)
+    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, half))
+    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - half))
+    return low, high
 
 
 def plain(value: Any) -> Any:

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from derail_ros.vocabulary import words
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -250,3 +252,24 @@ class SiteOutcome:
                 for e in self.inside
             ],
         }
+
+
+def site_rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What came of each area and fixed body in words: name, text; of `SiteOutcome.record`."""
+    rows = []
+    for area in record["inside"]:
+        ever, now = area["cars_ever"], area["cars_at_rest"]
+        text = f"{words.cars(ever)} entered" if ever else "no car entered"
+        if ever:
+            text += f"; {words.cars(now)} in it at the end" if now else "; none in it at the end"
+        rows.append((area["name"], text))
+    for body in record["fixed"]:
+        struck = body["struck_by"]
+        text = "not struck"
+        if struck:
+            text = (
+                f"struck by {words.cars(sorted(struck))}, {words.force(body['force_N'])} at most"
+            )
+            text += "; gave way" if body["given_way"] else ""
+        rows.append((body["name"], text))
+    return rows

@@ -21,7 +21,8 @@ shapely = pytest.importorskip("shapely")
 TEXT = """\
 version: 1
 title: a place on the map
-train: {speed_kmh: 30, consist: [{car: box_car, count: 3, contents: grain}]}
+train: {speed_kmh: 30, consist: [
+  {car: box_car, count: 2, contents: grain}, {car: box_car, name: GATX 7, contents: grain}]}
 track: {rail_breaks: [12]}
 integration: {time_limit_s: 2}
 site:
@@ -49,6 +50,26 @@ def test_ground_is_covered_as_often_as_cars_lie_there():
     assert maps.covered([np.zeros((0, 4, 2))]) == {}
 
 
+def test_each_share_of_the_runs_is_one_feature():
+    """Two heaps far apart, the second in one of 30 runs."""
+    runs = [footprint(0.0, 0.0, 0.0)] * 29 + [footprint(90.0, 0.0, 0.0)]
+    shapes = maps.covered(runs)
+    features = maps.cover_features(shapes, len(runs), maps.Map(None))
+    told = [f["properties"] for f in features]
+    assert [t["covered"] for t in told] == [
+        "in any run", "in 5 % of the runs or more", "in 50 % of the runs or more",
+        "in 95 % of the runs or more",
+    ]  # fmt: skip
+    assert told[0]["probability"] == pytest.approx(1.0 / 30.0, abs=1e-4)
+    assert [t["area_m2"] for t in told] == pytest.approx([84.0, 42.0, 42.0, 42.0])
+    assert [f["geometry"]["type"] for f in features] == ["MultiPolygon"] * 4
+    assert [len(f["geometry"]["coordinates"]) for f in features] == [2, 1, 1, 1]
+    for shape, feature in zip(shapes.values(), features, strict=True):
+        back = shapely.geometry.shape(feature["geometry"])
+        assert back.symmetric_difference(shape).area == pytest.approx(0.0, abs=1e-6)
+        assert all(part.exterior.is_ccw for part in back.geoms)
+
+
 def test_a_run_on_the_map(tmp_path):
     scenario = loads_scenario(TEXT, "there")
     simulation = models.build(scenario.to_params())
@@ -68,6 +89,8 @@ def test_a_run_on_the_map(tmp_path):
         told = feature["properties"]
         assert told["car"] == car + 1 and told["contents"] == "grain"
         assert told["derailed"] == (car + 1 in run.outcome.derailed_cars)
+        assert told["name"] == run.cars.name[car] == ("GATX 7" if car == 2 else "box car")
+        assert (told["side"] is None) == (told["offset_m"] is None) == (not told["derailed"])
         ring = feature["geometry"]["coordinates"][0]
         assert ring[0] == ring[-1] and shapely.Polygon(ring).exterior.is_ccw
         back = [datum.local(latitude, longitude) for longitude, latitude in ring[:-1]]
@@ -80,7 +103,13 @@ def test_a_run_on_the_map(tmp_path):
     assert place == ["track", "soil", "wall", "line"]
     root = ElementTree.parse(tmp_path / "run.kml").getroot()
     names = [e.text for e in root.iter("{http://www.opengis.net/kml/2.2}name")]
-    assert {"footprints", "car 1", "wall", "covered with 95 % or more"} <= set(names)
+    assert {
+        "footprints",
+        "car 3, GATX 7",
+        "wall",
+        "covered in 95 % of the runs or more",
+        "covered in any run",
+    } <= set(names)
 
 
 def test_an_outcome_at_its_place_goes_through_messages():

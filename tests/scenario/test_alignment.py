@@ -1,6 +1,7 @@
 """Alignments fitted to points: exact, noisy within their stated errors; tables, grades."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -149,6 +150,18 @@ def test_a_scenario_takes_its_track_from_a_line_or_a_table(tmp_path):
         assert [g.grade for g in grades] == pytest.approx([0.0, 0.012, -0.006], abs=1e-4)
         assert loaded.files[name] == content.encode()
         assert any("residual" in note for note in loaded.warnings)
+
+
+def test_grades_of_the_scenario_go_with_a_line_without_heights(tmp_path, monkeypatch):
+    """And with one that has heights they are refused."""
+    text = SCENARIO.replace("file: %s", "file: %s, grades: [{grade_percent: -0.8}]")
+    monkeypatch.setattr(sys.modules[__name__], "SCENARIO", text)
+    rows = "".join(f"{s},0\n" for s in range(0, 1201, 100))
+    loaded = scenario(tmp_path, "line.csv", f"chainage_m,curvature_per_m\n{rows}")
+    assert [g.grade for g in loaded.to_params().track.grades] == pytest.approx([-0.008])
+    rows = "".join(f"{s},0,5\n" for s in range(0, 1201, 100))
+    with pytest.raises(ScenarioError, match="track.grades: come from the heights of the file too"):
+        scenario(tmp_path, "line.csv", f"chainage_m,curvature_per_m,height_m\n{rows}")
 
 
 @pytest.mark.parametrize(

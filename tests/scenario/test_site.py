@@ -190,6 +190,10 @@ def test_a_wrong_reference_system_is_refused(tmp_path):
     assert "crs: is in EPSG:32618" in refused(tmp_path, {**data, "crs": crs}, site)
     assert "need site.datum" in refused(tmp_path, collection(degrees), "")
     assert "is no GeoJSON" in refused(tmp_path, [])
+    exchanged = DATUM.replace("43.59", "-120.35").replace("-79.64", "50.7")
+    assert "site.datum.latitude_deg: must be" in refused(tmp_path, collection(degrees), exchanged)
+    lacking = DATUM.replace("latitude_deg: 43.59, ", "")
+    assert "site.datum.latitude_deg: " in refused(tmp_path, collection(degrees), lacking)
 
 
 @pytest.mark.parametrize(
