@@ -91,7 +91,7 @@ def test_a_reader_that_goes_away_is_no_error():
         [*PYTHON, "scenarios"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     process.stdout.close()
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=250)
     assert b"Traceback" not in err
 
 
@@ -126,7 +126,7 @@ def test_interrupted(number, jobs, small):
     )
     assert process.stdout.readline() == "running\n"
     process.send_signal(number)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=250)
     assert process.returncode == 130
     assert out == ""
     assert err.strip().splitlines()[-1] == "derail: interrupted"

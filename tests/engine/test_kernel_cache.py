@@ -27,7 +27,7 @@ def tree(tmp_path):
     return target
 
 
-def python(tree, code, cache=None, timeout=60):
+def python(tree, code, cache=None, timeout=250):
     """Run code on the copy, in another process; its output."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     environment["PYTHONDONTWRITEBYTECODE"] = "1"

@@ -448,7 +448,7 @@ def test_mistakes_are_told_in_a_line(tmp_path) -> None:
             [sys.executable, "-m", "derail_ros.nodes.player", "--ros-args", *arguments],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=250,
         )
         assert done.returncode == 1
         assert text in done.stderr
