@@ -125,7 +125,7 @@ class Space(NamedTuple):
     wall: F64  # (N, 6) wrench of the fixed bodies; 0 rows without any
     tops: F64  # (B,) height of each fixed body over the rail, m
     round: U8  # (N,) the car is a tank
-    span: F64  # (N, 4) scratch: lowest and highest point of its body, and of its trucks
+    span: F64  # (N, 5) scratch: lowest and highest point of its body, and of its trucks; dW/dphi
     level: F64  # (N,) height at which fixed bodies push it, m
 
 

@@ -188,7 +188,7 @@ class SpatialSimulation(PlanarSimulation):
             "wall": np.zeros((n if site.fixed else 0, 6)),
             "tops": np.array([body.height for body in site.fixed]) + GROUND_LEVEL,
             "round": np.array([body.kind.tank for body in self._bodies], np.uint8),
-            "span": np.zeros((n, 4)),
+            "span": np.zeros((n, 5)),
             "level": np.zeros(n),
         }
 

@@ -1,10 +1,15 @@
 """Fixed bodies and areas in three dimensions: the planar laws on the cars seen from above.
 
-A car's outline from above is the rectangle around its body as it leans: half length and half width
-are ``sum |e . a_k| s_k`` along and across its heading, with the body's axes a_k and half sizes s_k
-(the planar length and width, the height of its kind). ``forces.fixed`` gives the push of a wall on
-it. The force acts at the middle of the height that car and body share: that of its body, or where
-the wall ends below that, of its trucks. A car that is above a wall passes over it.
+A car's outline from above is the rectangle around its body as it leans. With the roll phi, the
+half width w, the half height h of its kind and the kinks of the absolute values rounded,
+
+    W = w |cos phi| + h |sin phi|
+
+(a tank: w). ``forces.fixed`` gives the push of a wall on it. The force acts at the middle of the
+height that car and body share: that of its body, or where the wall ends below that, of its trucks.
+Its part F across the car acts on the edge that leads: it has the roll moment ``-|F| dW/dphi``
+besides, which turns a car that leans into a wall upright, so that the work of the force is that on
+the outline. A car that is above a wall passes over it.
 """
 
 from __future__ import annotations
@@ -18,31 +23,43 @@ from derail_ros.engine.jit import inner_jit, jit
 from derail_ros.spatial.kernels import Space
 from derail_ros.vocabulary.shapes import BED_HEIGHT, RAIL_HEIGHT, TRUCK
 
+FLAT = 0.03
+"""Sine of a lean below which a side is taken to touch with more than its edge."""
+
 
 @inner_jit
-def _outline(model: Model, seen: Model, view: State, space: Space, round_: bool, i: int) -> None:
-    """The rectangle around the body of car ``i``: place, sizes; its height into ``space.span``."""
+def _rounded(x: float) -> tuple[float, float]:
+    """``|x|`` with its kink rounded within FLAT, and its derivative."""
+    if abs(x) >= FLAT:
+        return abs(x) - 0.5 * FLAT, math.copysign(1.0, x)
+    return 0.5 * x * x / FLAT, x / FLAT
+
+
+@inner_jit
+def _outline(model: Model, seen: Model, view: State, space: Space, i: int) -> None:
+    """The rectangle around car ``i``, and the heights of its body and trucks (``space.span``)."""
     row = space.body[i]
     b = int(row.body)
     m = space.xmat
     cy = math.cos(space.pose[i, 5])
     sy = math.sin(space.pose[i, 5])
     half = (model.car[i].half_l, model.car[i].half_w, 0.5 * (row.top - row.bottom))
-    length = 0.0
-    width = 0.0
     tall = 0.0
     for k in range(3):
-        along = cy * m[b, k] + sy * m[b, 3 + k]
-        across = cy * m[b, 3 + k] - sy * m[b, k]
-        length += abs(along) * half[k]
-        width += abs(across) * half[k]
         tall += abs(m[b, 6 + k]) * half[k]
-    if round_:
-        width = half[1]
+    lean = cy * m[b, 5] - sy * m[b, 2]  # of the body's upright axis, to the left
+    up = cy * m[b, 4] - sy * m[b, 1]
+    width = half[1]
+    lever = 0.0
+    if space.round[i] == 0:
+        flat, flat_rate = _rounded(up)
+        side, side_rate = _rounded(lean)
+        width = half[1] * (flat + 0.5 * FLAT) + half[2] * side
+        # with the roll, which turns up into -lean and the other way round
+        lever = half[1] * flat_rate * lean - half[2] * side_rate * up
     middle = 0.5 * (row.top + row.bottom) - row.height
-    seen.car[i].half_l = length
     seen.car[i].half_w = width
-    seen.car[i].radius = math.sqrt(length * length + width * width)
+    seen.car[i].radius = math.sqrt(half[0] * half[0] + width * width)
     view.q[i, 0] = space.xpos[b, 0] + m[b, 2] * middle
     view.q[i, 1] = space.xpos[b, 1] + m[b, 5] * middle
     view.q[i, 2] = space.pose[i, 5]
@@ -53,19 +70,27 @@ def _outline(model: Model, seen: Model, view: State, space: Space, round_: bool,
     other = foot + TRUCK[2] * m[b, 8]
     space.span[i, 2] = min(foot, other)
     space.span[i, 3] = max(foot, other)
+    space.span[i, 4] = lever
     _move(view, space, i, high)
 
 
 @inner_jit
 def _move(view: State, space: Space, i: int, z: float) -> None:
-    """Velocity of car ``i`` at the middle of its outline and the height ``z`` into the view."""
+    """Velocity of the outline of car ``i`` at the height ``z``, on the side that is pushed."""
     b = int(space.body[i].body)
     v = space.velocity[i]
     rx = view.q[i, 0] - space.xpos[b, 0]
     ry = view.q[i, 1] - space.xpos[b, 1]
     rz = z - space.xpos[b, 2]
-    view.v[i, 0] = v[0] + v[4] * rz - v[5] * ry
-    view.v[i, 1] = v[1] + v[5] * rx - v[3] * rz
+    cy = math.cos(view.q[i, 2])
+    sy = math.sin(view.q[i, 2])
+    pushed = cy * space.wall[i, 1] - sy * space.wall[i, 0] if space.wall.shape[0] > 0 else 0.0
+    out = 0.0
+    if pushed != 0.0:  # a wall at the left pushes to the right
+        out = space.span[i, 4] * (v[3] * cy + v[4] * sy)
+        out = out if pushed < 0.0 else -out
+    view.v[i, 0] = v[0] + v[4] * rz - v[5] * ry - out * sy
+    view.v[i, 1] = v[1] + v[5] * rx - v[3] * rz + out * cy
     view.v[i, 2] = v[5]
     space.level[i] = z
 
@@ -97,6 +122,10 @@ def _drop_passed(model: Model, view: State, work: Work, space: Space) -> None:
                 view.hold[i, 4 * bodies + k] = 0
             continue
         if i != last:
+            # the edge that leads lies as far from that height as the wall leaves of the body
+            tall = space.span[i, 1] - space.span[i, 0]
+            shared = min(space.span[i, 1], space.tops[b]) - space.span[i, 0]
+            space.span[i, 4] *= min(1.0, max(0.0, shared / tall))
             _move(view, space, i, z)
             last = i
         kept += 1
@@ -115,7 +144,7 @@ def strike(model: Model, seen: Model, view: State, work: Work, space: Space, h: 
     """
     n = view.q.shape[0]
     for i in range(n):
-        _outline(model, seen, view, space, space.round[i] != 0, i)
+        _outline(model, seen, view, space, i)
     if model.fixed.shape[0] > 0:
         list_near(seen, view, work, h)
         _drop_passed(model, view, work, space)
@@ -135,6 +164,11 @@ def strike(model: Model, seen: Model, view: State, work: Work, space: Space, h: 
             w[3] = -rz * fy
             w[4] = rz * fx
             w[5] = rx * fy - ry * fx + work.force[i, 2]
+            cy = math.cos(view.q[i, 2])
+            sy = math.sin(view.q[i, 2])
+            turn = -space.span[i, 4] * abs(cy * fy - sy * fx)
+            w[3] += turn * cy
+            w[4] += turn * sy
             a = int(space.body[i].qvel)
             space.qfrc[a] += fx
             space.qfrc[a + 1] += fy

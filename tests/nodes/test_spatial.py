@@ -168,3 +168,55 @@ def test_a_car_rolls_over_in_the_node(tmp_path, capsys) -> None:
     assert own.pose[-1, 2, 3] == pytest.approx(state.roll[2], abs=1e-6)
     assert main(["replay", str(tmp_path / "own")]) == 0
     assert "differ" not in capsys.readouterr().out
+
+
+PLACE = """\
+version: 1
+title: A car pushed against a wall, another that stands on a siding
+train: {speed_kmh: 30, consist: [{car: box_car, count: 2}]}
+initiation:
+  derailed_trucks: [{car: 1, truck: both}]
+  lateral_force_N: 300e3
+  lateral_force_duration_s: 2.0
+site:
+  tracks: [{name: siding, offset_m: -6, from_m: -150, to_m: 150}]
+  standing: [{track: siding, position_m: -60, consist: [{car: box_car}]}]
+  fixed: [{name: wall, outline_along_m: [[-40, 4], [90, 4]], height_m: 3}]
+  zones: [{name: berm, outline_along_m: [[-40, 5], [90, 5], [90, 12], [-40, 12]], rise_percent: 30,
+           uphill_deg: 90}]
+integration: {time_limit_s: 4.0}
+"""
+
+
+def test_a_place_in_three_dimensions_in_the_node(tmp_path, capsys) -> None:
+    (tmp_path / "place.yaml").write_text(PLACE)
+    with graph(tmp_path) as made:
+        simulator = made.simulator(
+            ready=False,
+            scenario="place",
+            scenario_dirs=f"['{tmp_path}']",
+            model="spatial",
+            speed_factor=0.0,
+            await_listeners=1,
+            marker_rate=20.0,
+            record=tmp_path / "own",
+            **DEEP,
+        )
+        heard = made.listen("collisions", "outcome", "track_markers", "train_state")
+        made.until(lambda: any(m.is_final for m in heard["outcome"]), "the run ends", simulator)
+        made.until(lambda: heard["track_markers"], "the place's markers")
+        made.until(lambda: any(c.object == "wall" for c in heard["collisions"]), "the wall")
+        assert simulator.end() == 0, simulator.output
+    assert "Traceback" not in simulator.output
+    blow = next(c for c in heard["collisions"] if c.object == "wall")
+    assert blow.peak_force > 1e4 and 0.0 < blow.z < 3.0 and abs(blow.y - 4.0) < 0.8
+    texts = {m.text for array in heard["track_markers"] for m in array.markers}
+    assert {"wall", "siding", "berm"} <= texts
+    (entry,) = read_manifest(tmp_path / "own").runs
+    struck = {row["name"]: row for row in entry.outcome["site"]["fixed"]}
+    assert struck["wall"]["force_N"] == pytest.approx(
+        max(c.peak_force for c in heard["collisions"] if c.object == "wall"), rel=1e-6
+    )
+    assert entry.outcome["standing_cars"] == 1 and entry.outcome["standing_moved"] == []
+    assert main(["replay", str(tmp_path / "own")]) == 0
+    assert "differ" not in capsys.readouterr().out
