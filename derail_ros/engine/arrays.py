@@ -136,7 +136,6 @@ class Work(NamedTuple):
     # the rail forces too, and the forces inside blocks
     active: I64  # (1 + P,) number and rows of the pairs that may touch in this step
     corners: I64  # (1 + P,) and which of their corners may: bit 4 side + corner
-    seen: F64  # (P, 18) of a pair's corners: gap, m, and squared speed, m^2/s^2; see neighbours
     near: I64  # (1 + N B, 4) number of rows; car, fixed body and its edges that it may touch
 
 
@@ -192,6 +191,5 @@ def make_work(n: int, pair_rows: int, event_rows: int, report: bool, fixed: int 
         scope=np.array([n, 1]),
         active=np.zeros(1 + pair_rows, dtype=np.int64),
         corners=np.full(1 + pair_rows, ALL_CORNERS),
-        seen=np.zeros((pair_rows, 18)),
         near=np.zeros((1 + n * fixed, 4), dtype=np.int64),
     )

@@ -142,15 +142,15 @@ def implicit_masses(car: Rows, work: Work, factor_h: float) -> None:
         a = yy * tt - yt * yt
         b = xt * yt - xy * tt
         c = xy * yt - xt * yy
-        det = xx * a + xy * b + xt * c
+        inverse = 1.0 / (xx * a + xy * b + xt * c)
         if i >= trial.scope:
             trial.damping += wk[i].c_xx
-        wk[i].m_xx = a / det
-        wk[i].m_xy = b / det
-        wk[i].m_xt = c / det
-        wk[i].m_yy = (xx * tt - xt * xt) / det
-        wk[i].m_yt = (xy * xt - xx * yt) / det
-        wk[i].m_tt = (xx * yy - xy * xy) / det
+        wk[i].m_xx = a * inverse
+        wk[i].m_xy = b * inverse
+        wk[i].m_xt = c * inverse
+        wk[i].m_yy = (xx * tt - xt * xt) * inverse
+        wk[i].m_yt = (xy * xt - xx * yt) * inverse
+        wk[i].m_tt = (xx * yy - xy * xy) * inverse
     weigh_blocks(work)
 
 

@@ -68,13 +68,13 @@ def strays(model: Model, state: State, work: Work, h: float) -> bool:
 
 @inner_jit
 def _see_corners(
-    model: Model, work: Work, v: F64, i: int, j: int, seen: Frame, vx: float, vy: float, a: int,
-    side: int, h: float,
-) -> float:  # fmt: skip
-    """The step ``h``, or less, for the corners of car ``i`` as car ``j`` sees them, s.
+    model: Model, v: F64, i: int, j: int, seen: Frame, vx: float, vy: float, near: float,
+    h: float,
+) -> tuple[int, float]:  # fmt: skip
+    """Which corners of car ``i`` may touch car ``j`` (a bit each), and the step ``h``, or less, s.
 
-    ``vx``, ``vy`` is the velocity of the centre of ``i`` there, along and across ``j`` (m/s). The
-    gaps and squared speeds of the corners go into row ``a`` of ``work.seen``.
+    ``vx``, ``vy`` is the velocity of the centre of ``i`` for ``j``, along and across it (m/s). A
+    corner may touch if no more than ``near`` and its way in the step ``h`` are between them.
     """
     car = model.car
     x0, y0, c, s = seen
@@ -83,6 +83,8 @@ def _see_corners(
     zone = ZONE * model.par[0].buffer
     half_l = car[j].half_l
     half_w = car[j].half_w
+    bits = 0
+    least = h
     for corner in range(4):
         u, w = corner_of(car, i, corner)
         rx = c * u - s * w
@@ -90,13 +92,14 @@ def _see_corners(
         gap = max(abs(x0 + rx) - half_l, abs(y0 + ry) - half_w)
         ux = vx - spin * ry
         uy = vy + spin * rx
-        way = share + max(0.0, gap - zone)
         square = ux * ux + uy * uy
-        if h * h * square > way * way:
-            h = way / math.sqrt(square)
-        work.seen[a, 8 * side + 2 * corner] = gap
-        work.seen[a, 8 * side + 2 * corner + 1] = square
-    return h
+        rest = max(0.0, gap - near)
+        if rest * rest <= h * h * square:
+            bits |= 1 << corner
+        way = share + max(0.0, gap - zone)
+        if least * least * square > way * way:
+            least = way / math.sqrt(square)
+    return bits, least
 
 
 @inner_jit
@@ -117,12 +120,11 @@ def limit_way(model: Model, state: State, work: Work, h: float) -> float:
     pair = state.pair
     room = model.par[0].reach + 2.0 * model.par[0].step_share  # both may stray
     largest = max(room, ZONE * model.par[0].buffer)
-    seen = work.seen
     angles(q, wk, work.ang, work.live)
     for i in range(q.shape[0]):
         wk[i].ct0 = wk[i].ct
         wk[i].st0 = wk[i].st
-    found = 0
+    count = 0
     for p in range(state.cnt[0].pairs):
         i = state.pairs[p, 0]
         j = state.pairs[p, 1]
@@ -149,32 +151,21 @@ def limit_way(model: Model, state: State, work: Work, h: float) -> float:
                 si = wk[i].st
                 cj = wk[j].ct
                 sj = wk[j].st
+                near = room + h * h * bend
                 vx = cj * ax + sj * ay
                 vy = cj * ay - sj * ax
-                h = _see_corners(model, work, v, i, j, first, vx, vy, found, 0, h)
+                bits, least = _see_corners(model, v, i, j, first, vx, vy, near, h)
                 vx = ci * bx + si * by
                 vy = ci * by - si * bx
-                h = _see_corners(model, work, v, j, i, second, vx, vy, found, 1, h)
-                seen[found, 16] = bend
-                found += 1
-                work.active[found] = p
-                continue
+                more, h = _see_corners(model, v, j, i, second, vx, vy, near, h)
+                h = min(h, least)
+                bits |= more << 4
+                if bits != 0:
+                    count += 1
+                    work.active[count] = p
+                    work.corners[count] = bits
+                    continue
         leave_out(pair, p)
-    count = 0
-    for a in range(found):
-        p = work.active[1 + a]
-        near = room + h * h * seen[a, 16]
-        bits = 0
-        for k in range(8):
-            rest = seen[a, 2 * k] - near
-            if rest <= 0.0 or rest * rest <= h * h * seen[a, 2 * k + 1]:
-                bits |= 1 << k
-        if bits == 0:
-            leave_out(pair, p)
-            continue
-        count += 1
-        work.active[count] = p
-        work.corners[count] = bits
     work.active[0] = count
     return h
 

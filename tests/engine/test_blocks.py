@@ -7,7 +7,7 @@ from derail_ros.engine import PlanarSimulation
 from derail_ros.engine.arrays import make_work
 from derail_ros.engine.dynamics import PLAIN, accelerations
 from derail_ros.engine.solver import plain_masses
-from derail_ros.vocabulary.params import BrakeTrigger, LateralForce
+from derail_ros.vocabulary.params import BrakeTrigger, LateralForce, TrackParams, TrackSegment
 from tests.engine.support import (
     CURVE,
     make_train,
@@ -64,6 +64,21 @@ def test_blocks_change_no_acceleration_and_no_force():
         compared += 1
     assert compared > 100
     assert len(run.outcome().derailed_cars) >= 1
+
+
+@pytest.mark.parametrize("method", ["row", "rkf45"])
+def test_a_train_without_blocks_goes_the_same_way(method):
+    # the cars behind are a block on the endless straight, and cars of their own on an alignment
+    ends = []
+    for track in (None, TrackParams(segments=(TrackSegment(3000.0, 0.0, 0.0),))):
+        params = pushed() if track is None else pushed(track=track, position=1000.0)
+        run = PlanarSimulation(with_integration(params, method=method, rtol=1e-8))
+        run.advance_to(3.0)
+        assert bool(blocks(run)) == (track is None)
+        s = run.sample(3.0)
+        ends.append((s.q - [params.initiation.position, 0, 0, 0, 0], s.v, s.rail_force))
+    for mine, other, unit in zip(*ends, (1.0, 1.0, 1e5), strict=True):
+        assert np.abs(mine - other).max() < 1e-5 * unit
 
 
 def test_the_cars_of_a_block_stay_exactly_on_the_line():

@@ -8,7 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from derail_ros.engine import PlanarSimulation
+from derail_ros.engine.arrays import make_work
+from derail_ros.engine.blocks import prepare
+from derail_ros.engine.dynamics import PLAIN, accelerations
 from derail_ros.engine.methods import METHODS
+from derail_ros.engine.solver import plain_masses
 from derail_ros.vocabulary.events import EventKind
 from derail_ros.vocabulary.params import BrakeTrigger, LateralForce, TrackParams, TrackSegment
 from tests.engine.reference import Reference, corner_list, touching
@@ -19,6 +23,7 @@ from tests.engine.support import (
     make_train,
     mixed_cars,
     start,
+    steps_of,
     with_integration,
 )
 
@@ -223,6 +228,29 @@ def test_no_pair_is_missing_from_the_neighbour_list():
         assert s.collision_force == pytest.approx(force, abs=1e-8 * size)
     assert compared > 15
     assert pairs > 30
+
+
+def test_corners_that_a_step_leaves_out_have_no_force():
+    run = PlanarSimulation(pile_up("row"))
+    model = run._model
+    looked_at = of = 0
+    for _ in steps_of(run, 14.0):
+        state, pairs = run._state, int(run._state.cnt["pairs"][0])
+        corners = run._work.corners[1 : 1 + int(run._work.active[0])]
+        looked_at += sum(bin(bits).count("1") for bits in corners)
+        of += 8 * pairs
+        view = state._replace(
+            pair=state.pair.copy(), cnt=state.cnt.copy(), truck_s=state.truck_s.copy()
+        )
+        work = make_work(run.n_cars, len(state.pairs), 0, False)
+        plain_masses(model, work.wk)
+        prepare(model, view, work, view.q, view.v)  # every corner of all pairs
+        a = np.empty_like(view.a)
+        assert accelerations(model, view, work, run.time, view.q, view.v, a, PLAIN)
+        assert np.array_equal(a, state.a)
+        assert np.array_equal(work.lam_c, state.coupler_force)
+        assert np.array_equal(view.pair[:pairs], state.pair[:pairs])
+    assert 1000 < looked_at < 0.5 * of
 
 
 # Outcomes --------------------------------------------------------------------------------------
