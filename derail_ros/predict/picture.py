@@ -66,7 +66,7 @@ def picture(found: Prediction, title: str) -> Figure:
     dress(axes, "y")
     axes.set_ylabel("share of such accidents, %")
     axes.set_xlim(0.0, top)
-    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    drawing.legend_above(axes, axes.containers[:2], 2, fontsize=9)
 
     bands = place(page, 0.75, 4.25, 6.2, 1.5)
     rows = [("this model", of_values(counts), BLUE)]
@@ -156,7 +156,7 @@ def reconstruction_picture(found: Reconstruction, scenes: Sequence[Scene]) -> Fi
         if len(box):
             one.add_patch(Polygon(box, fill=False, ec=VERMILION, lw=1.6, ls=(0, (5, 3)),
                                   zorder=12))  # fmt: skip
-        drawing.scale_inside(one, shown, 0.2, 1.2)
+        drawing.scale_inside(one, shown, 0.2, 1.2, scene)
         put(page, 0.25, at + 0.18, scene.subtitle, size=11)
     return page
 

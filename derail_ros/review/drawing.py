@@ -322,14 +322,74 @@ def draw_direction(
     arrow(axes, at - along, at + along, lw=scale, mutation_scale=10.0 * scale)
 
 
-def scale_inside(axes: Axes, window: Window, share: float, scale: float = 1.0) -> None:
-    """A scale bar in the lower right corner, about a share of the width long."""
-    wide = window[1] - window[0]
-    bar = nice(share * wide)
-    x, y = window[1] - 0.025 * wide, window[2] + 0.03 * wide
-    axes.plot([x - bar, x], [y, y], color=INK, lw=2.5 * scale, solid_capstyle="butt", zorder=15)
-    place = (x - 0.5 * bar, y)
-    label(axes, f"{bar:g} m", place, (0, 3), va="bottom", size=8.5 * scale, zorder=15)
+def bodies_at(scene: Scene) -> NDArray:
+    """Places (K, 2) all over the bodies, by which a picture finds what is free, m."""
+    share = np.linspace(0.0, 1.0, 13)[:, None, None, None]
+    corners = scene.outlines()
+    along = (1.0 - share) * corners[:, :2] + share * corners[:, [3, 2]]
+    return np.concatenate([along, along.mean(axis=2, keepdims=True)], axis=2).reshape(-1, 2)
+
+
+def per_point(axes: Axes, window: Window) -> float:
+    """Metres of a point of print."""
+    inches = axes.get_position().width * axes.get_figure().get_size_inches()[0]
+    return (window[1] - window[0]) / (72.0 * inches)
+
+
+def freest(places: Sequence[Any], half: Any, taken: NDArray) -> Any:
+    """Of places, the first about which a box of half sizes ``half`` holds the fewest points."""
+    inside = [(np.abs(taken - at) < half).all(axis=1).sum() for at in places]
+    return places[int(np.argmin(inside))]
+
+
+FREE_CORNERS = ("lower right", "lower left", "upper right", "upper left")
+
+
+def scale_inside(
+    axes: Axes, window: Window, share: float, scale: float = 1.0, scene: Scene | None = None,
+    corners: Sequence[str] = FREE_CORNERS,
+) -> None:  # fmt: skip
+    """A scale bar on white, about a share of the width long.
+
+    It is in the first of the ``corners`` that has the fewest bodies and labels of the scene.
+    """
+    x0, x1, y0, y1 = window
+    wide, point = x1 - x0, per_point(axes, window)
+    bar, tall = nice(share * wide), 17.0 * scale * point
+    edge = 0.025 * wide
+    half = np.array([0.5 * bar + 6.0 * point, 0.5 * tall + 2.0 * point])
+    middles = []
+    for corner in corners:
+        x = x0 + edge + 0.5 * bar if "left" in corner else x1 - edge - 0.5 * bar
+        y = y0 + edge + 0.5 * tall if "lower" in corner else y1 - edge - 0.5 * tall
+        middles.append(np.array([x, y]))
+    taken = np.zeros((0, 2))
+    if scene is not None:
+        taken = np.concatenate([bodies_at(scene), break_labels(axes, scene, window)[1]])
+    x, y = freest(middles, half, taken)
+    box = (x - half[0], y - half[1])
+    axes.add_patch(Rectangle(box, *(2.0 * half), fc="white", ec="none", alpha=0.85, zorder=14))
+    y -= 0.5 * tall - 2.0 * point
+    ends = [x - 0.5 * bar, x + 0.5 * bar]
+    axes.plot(ends, [y, y], color=INK, lw=2.5 * scale, solid_capstyle="butt", zorder=15)
+    label(axes, f"{bar:g} m", (x, y), (0, 3), va="bottom", size=8.5 * scale, zorder=15)
+
+
+def break_labels(axes: Axes, scene: Scene, window: Window) -> tuple[list[Any], NDArray]:
+    """Places of the labels of the rail breaks in a window, and places all over them.
+
+    They go to the lower or upper edge, whichever is freer, and stay within the picture.
+    """
+    point = per_point(axes, window)
+    half = np.array([32.0, 9.0]) * point
+    margin = 0.035 * (window[3] - window[2])
+    taken, found = bodies_at(scene), []
+    for x, y, _ in scene.breaks:
+        if within(window, x, y):
+            at = min(max(x, window[0] + half[0]), window[1] - half[0])
+            found.append(freest([(at, window[2] + margin), (at, window[3] - margin)], half, taken))
+    mesh = np.stack(np.meshgrid(np.linspace(-1, 1, 9), (-1, 0, 1)), axis=-1).reshape(-1, 2)
+    return found, np.concatenate([np.zeros((0, 2)), *(at + mesh * half for at in found)])
 
 
 # --- track -----------------------------------------------------------------------------------
@@ -344,6 +404,7 @@ AREA_LINE = "#3a7d44"
 
 def draw_site(axes: Axes, scene: Scene, window: Window) -> None:
     """Zones of the ground, areas, and fixed bodies, with their names where they can be seen."""
+    taken, point = bodies_at(scene), per_point(axes, window)
     for shape in scene.site:
         x, y = shape.points.T
         look: dict[str, Any] = {"color": AREA_LINE, "lw": 1.2, "ls": (0, (5, 2)), "zorder": 0.4}
@@ -366,9 +427,16 @@ def draw_site(axes: Axes, scene: Scene, window: Window) -> None:
         kept = np.array([within(window, *p) for p in shape.points])
         seen = shape.points[kept] if kept.any() else _seen(shape.points, window)
         if len(seen):
-            at = tuple(seen.mean(axis=0)) if shape.closed else tuple(seen[len(seen) // 2])
-            if shape.role == "track":
-                at = tuple(seen[0])
+            middle = len(seen) // 2
+            order = [*seen[middle:], *seen[:middle][::-1]]
+            if shape.closed:
+                centre = seen.mean(axis=0)
+                order = [centre, *(0.5 * (centre + p) for p in seen)]
+            elif len(seen) > 1:
+                steps = np.diff(seen, axis=0)
+                order += [*(seen[:-1] + 0.5 * steps), *(seen[:-1] + 0.25 * steps)]
+            half = np.array([0.32 * 7.5 * len(shape.name), 6.0]) * point
+            at = tuple(seen[0] if shape.role == "track" else freest(order, half, taken))
             across = (at[0] - window[0]) / (window[1] - window[0])
             side = "left" if across < 0.1 else "right" if across > 0.9 else "center"
             above = (0.0, 9.0) if shape.role == "track" else (0.0, 0.0)  # cars stand on it
@@ -408,18 +476,15 @@ def draw_track(axes: Axes, scene: Scene, window: Window, points_per_metre: float
         ]
         ties = np.stack(ends, axis=1)
         axes.add_collection(LineCollection(ties, colors="#d9d4cd", linewidths=1.4, zorder=0.5))
+    labels, _ = break_labels(axes, scene, window)
     for x, y, heading in scene.breaks:
         n = np.array([-math.sin(heading), math.cos(heading)])
         ends = np.array([[x, y] - 2.6 * n, [x, y] + 2.6 * n])
         axes.plot(ends[:, 0], ends[:, 1], color=VERMILION, lw=2.6, zorder=6, solid_capstyle="butt")
         if not within(window, x, y):
             continue
-        # The label goes to the edge, clear of the cars, and stays within the picture.
-        edge = window[2] + 0.035 * (window[3] - window[2])
-        wide = axes.get_position().width * axes.get_figure().get_size_inches()[0]
-        half = 0.45 * (window[1] - window[0]) / wide
-        axes.plot([x, x], [y, edge], color=VERMILION, lw=1.0, ls=(0, (1, 2)), zorder=2)
-        at = (min(max(x, window[0] + half), window[1] - half), edge)
+        at = labels.pop(0)
+        axes.plot([x, x], [y, at[1]], color=VERMILION, lw=1.0, ls=(0, (1, 2)), zorder=2)
         label(axes, "rail break", at, color=VERMILION, size=8, weight="bold")
 
 

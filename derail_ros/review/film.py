@@ -155,12 +155,7 @@ class Stage:
             ncol=3,
             **(drawing.LEGEND | {"fontsize": 8.0 * scale, "handleheight": 0.7}),
         )
-        drawing.scale_inside(axes, self.window, 0.15, scale)
-        wide = x1 - x0
-        corner = np.array([x1 - 0.04 * wide, y1 - 0.035 * wide])
-        drawing.draw_direction(axes, corner, scene.travel, 0.022 * wide, 1.4 * scale)
-        look: dict[str, Any] = {"ha": "right", "size": 8.5 * scale}
-        drawing.label(axes, drawing.TRAVEL, corner - [0.032 * wide, 0.0], **look)
+        self._orient(scene, scale)
         self.bodies = drawing.draw_bodies(axes, scene, 0.8)
         self.fronts = drawing.draw_fronts(axes, scene)
         # Never smaller than can be read: where there are too many, some are left out.
@@ -182,6 +177,27 @@ class Stage:
         ]
         self.moving = (*self.bodies, self.fronts, *self.numbers, self.stars, *self.forces,
                        self.clock, self.facts)  # fmt: skip
+
+    def _orient(self, scene: Scene, scale: float) -> None:
+        """The direction of travel in an upper corner, and the scale, clear of the final scene."""
+        axes, window = self.axes, self.window
+        x0, x1, _, y1 = window
+        wide, point = x1 - x0, drawing.per_point(axes, window)
+        text = 0.6 * 8.5 * scale * len(drawing.TRAVEL) * point
+        half = 0.5 * np.array([text + 0.06 * wide, 22.0 * scale * point])
+        level = y1 - 0.035 * wide
+        taken = np.concatenate(
+            [drawing.bodies_at(scene), drawing.break_labels(axes, scene, window)[1]]
+        )
+        edge = half[0] + 0.012 * wide
+        middle = drawing.freest([(x1 - edge, level), (x0 + edge, level)], half, taken)
+        corner = np.array([middle[0] + half[0] - 0.028 * wide, level])
+        drawing.draw_direction(axes, corner, scene.travel, 0.022 * wide, 1.4 * scale)
+        look: dict[str, Any] = {"ha": "right", "size": 8.5 * scale}
+        drawing.label(axes, drawing.TRAVEL, corner - [0.032 * wide, 0.0], **look)
+        used = "upper right" if middle[0] > 0.5 * (x0 + x1) else "upper left"
+        free = [c for c in drawing.FREE_CORNERS if c != used]
+        drawing.scale_inside(axes, window, 0.15, scale, scene, free)
 
     def show(self, time: float) -> None:
         """Show a time (s)."""

@@ -125,7 +125,7 @@ def collision(run: RecordedRun, contact: Collision) -> Figure:
             drawing.arrow(axes, at, at + long * normal, 0.7, color=VERMILION, lw=3.0)
             axes.plot(*at, ms=17, zorder=14, **STAR)
         axes.set_title(f"{time:.2f} s   {head}", loc="left", fontsize=10, weight="bold", pad=5)
-        drawing.scale_inside(axes, window, 0.2)
+        drawing.scale_inside(axes, window, 0.2, scene=scene)
     note = (
         f"{run.title}.  {words.capital(contact.touch)}; closing at"
         f" {contact.closing_speed:.1f} m/s, {math.degrees(contact.angle):.0f}° between the cars;"

@@ -149,7 +149,7 @@ def cover(scene: Scene, footprints: Sequence[F64]) -> Figure:
     drawing.show(axes, window)
     for outline in off:
         axes.fill(*outline.T, facecolor="none", edgecolor=INK, lw=0.7, zorder=5)
-    drawing.scale_inside(axes, window, 0.2, 1.3)
+    drawing.scale_inside(axes, window, 0.2, 1.3, scene)
     keys = [
         Patch(fc=fill, ec=INK, lw=0.5, label=f"{100 * step:.0f} %")
         for step, fill in zip(STEPS, FILLS, strict=True)

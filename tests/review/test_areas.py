@@ -88,3 +88,44 @@ def test_areas_are_in_the_frame_of_a_picture():
     road = Shape("area", "road", False, np.array([[-5e3, 60.0], [5e3, 60.0]]))
     grown = drawing.with_areas(window, replace(scene, site=(road,)))
     assert 60.0 < grown[3] < 80.0 and grown[1] - grown[0] < 300.0
+
+
+def test_the_scale_and_the_break_label_keep_clear_of_cars():
+    """A car in the lower right corner: the scale goes to the lower left, the label to the top."""
+    from matplotlib.text import Annotation
+
+    simulation = models.build(loads_scenario(TEXT, "there").to_params())
+    scene = scene_from_simulation(simulation)
+    window = (0.0, 100.0, 0.0, 60.0)
+    pose = np.array([[90.0, 4.0, 0.0], [75.0, 4.0, 0.0], [-90.0, 4.0, 0.0]])
+    breaks = np.array([[80.0, 30.0, 0.0]])
+    scene = replace(scene, pose=pose, breaks=breaks, site=(), track=np.array([[0, 30], [100, 30]]))
+    page = drawing.sheet(6.0, 4.0)
+    axes = drawing.place(page, 0.0, 0.0, 6.0, 3.6)
+    drawing.show(axes, window)
+    drawing.draw_track(axes, scene, window, 4.3)
+    drawing.scale_inside(axes, window, 0.2, scene=scene)
+    at = {t.get_text(): t.xy for t in axes.get_children() if isinstance(t, Annotation)}
+    assert at["20 m"][0] < 30.0 and at["20 m"][1] < 10.0
+    assert at["rail break"] == pytest.approx((80.0, 57.9))
+    free = replace(scene, pose=pose - [0.0, 90.0, 0.0], breaks=np.zeros((0, 3)))
+    axes = drawing.place(page, 0.0, 0.0, 6.0, 3.6)
+    drawing.scale_inside(axes, window, 0.2, scene=free)
+    assert axes.texts[0].xy[0] > 70.0
+
+
+def test_the_name_of_a_wall_keeps_clear_of_cars():
+    """A car stands in the middle of a wall: the name goes beside it."""
+    from matplotlib.text import Annotation
+
+    simulation = models.build(loads_scenario(TEXT, "there").to_params())
+    wall = Shape("fixed", "wall", False, np.array([[0.0, 20.0], [50.0, 20.0], [100.0, 20.0]]))
+    pose = np.array([[50.0, 20.0, 0.0], [40.0, -40.0, 0.0], [50.0, -40.0, 0.0]])
+    scene = replace(scene_from_simulation(simulation), pose=pose, site=(wall,))
+    page = drawing.sheet(6.0, 4.0)
+    axes = drawing.place(page, 0.0, 0.0, 6.0, 3.6)
+    window = (-10.0, 110.0, -12.0, 60.0)
+    drawing.show(axes, window)
+    drawing.draw_site(axes, scene, window)
+    at = next(t.xy for t in axes.get_children() if isinstance(t, Annotation))
+    assert abs(at[0] - 50.0) > 10.0 and at[1] == 20.0
