@@ -20,7 +20,7 @@ from PIL import Image
 from derail_ros.review import drawing
 from derail_ros.review.drawing import INK, STYLE, VERMILION
 from derail_ros.review.replay_page import site
-from derail_ros.review.scene import final_scene, scene_at
+from derail_ros.review.scene import Scene, final_scene, scene_at
 from derail_ros.review.summary import NOTABLE
 from derail_ros.vocabulary import words
 from derail_ros.vocabulary.outcome import derailed
@@ -179,7 +179,7 @@ class Stage:
                        self.clock, self.facts)  # fmt: skip
 
     def _orient(self, scene: Scene, scale: float) -> None:
-        """The direction of travel in an upper corner, and the scale, clear of the final scene."""
+        """The direction of travel at the upper edge, and the scale, clear of the final scene."""
         axes, window = self.axes, self.window
         x0, x1, _, y1 = window
         wide, point = x1 - x0, drawing.per_point(axes, window)
@@ -190,12 +190,13 @@ class Stage:
             [drawing.bodies_at(scene), drawing.break_labels(axes, scene, window)[1]]
         )
         edge = half[0] + 0.012 * wide
-        middle = drawing.freest([(x1 - edge, level), (x0 + edge, level)], half, taken)
+        places = [(x1 - edge, level), (x0 + edge, level), (0.5 * (x0 + x1), level)]
+        middle = drawing.freest(places, half, taken)
         corner = np.array([middle[0] + half[0] - 0.028 * wide, level])
         drawing.draw_direction(axes, corner, scene.travel, 0.022 * wide, 1.4 * scale)
         look: dict[str, Any] = {"ha": "right", "size": 8.5 * scale}
         drawing.label(axes, drawing.TRAVEL, corner - [0.032 * wide, 0.0], **look)
-        used = "upper right" if middle[0] > 0.5 * (x0 + x1) else "upper left"
+        used = ("upper right", "upper left", "")[places.index(middle)]
         free = [c for c in drawing.FREE_CORNERS if c != used]
         drawing.scale_inside(axes, window, 0.15, scale, scene, free)
 
