@@ -117,11 +117,16 @@ class JointEncoder:
 # --- URDF ------------------------------------------------------------------------------------
 
 
-def _shape(link: Any, what: str, sizes: dict[str, Any], place: str, turn: str, color: str) -> None:
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=place, rpy=turn)
-    ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), what, sizes)
-    ElementTree.SubElement(visual, "material", name=color)
+def _shape(
+    link: Any, what: str, sizes: dict[str, Any], place: str, turn: str, color: str, solid: bool
+) -> None:
+    """Add a shape that is seen and, if ``solid``, collides."""
+    for role in ("visual", "collision") if solid else ("visual",):
+        element = ElementTree.SubElement(link, role)
+        ElementTree.SubElement(element, "origin", xyz=place, rpy=turn)
+        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), what, sizes)
+        if role == "visual":
+            ElementTree.SubElement(element, "material", name=color)
 
 
 def _inertial(link: Any, mass: float, inertia: tuple[float, float, float], height: float) -> None:
@@ -134,6 +139,8 @@ def _inertial(link: Any, mass: float, inertia: tuple[float, float, float], heigh
 
 def robot_description(params: TrainParams, frame_id: str = "map", prefix: str = "") -> str:
     """URDF of the whole train in metres and kilograms: boxes, wheels, couplers in their sizes.
+
+    Boxes and wheels collide, couplers do not.
 
     The root is the inertial frame; the joints of the cars are floating, those of the couplers are
     continuous about z. Mass and yaw inertia are the model's; roll and pitch inertia are those of a
@@ -161,7 +168,7 @@ def robot_description(params: TrainParams, frame_id: str = "map", prefix: str = 
         body = link(name)
         middle = CAR_FLOOR + 0.5 * CAR_HEIGHT
         size = f"{car.length:g} {car.width:g} {CAR_HEIGHT:g}"
-        _shape(body, "box", {"size": size}, f"0 0 {middle:g}", "0 0 0", "body")
+        _shape(body, "box", {"size": size}, f"0 0 {middle:g}", "0 0 0", "body", True)
         lying = car.mass / 12 * (car.width**2 + CAR_HEIGHT**2)
         pitching = car.mass / 12 * (car.length**2 + CAR_HEIGHT**2)
         _inertial(body, car.mass, (lying, pitching, car.inertia), middle)
@@ -172,12 +179,12 @@ def robot_description(params: TrainParams, frame_id: str = "map", prefix: str = 
                 for y in (0.5 * GAUGE, -0.5 * GAUGE):
                     place = f"{x:g} {y:g} {WHEEL_RADIUS:g}"
                     sizes = {"radius": f"{WHEEL_RADIUS:g}", "length": f"{WHEEL_WIDTH:g}"}
-                    _shape(truck, "cylinder", sizes, place, f"{quarter} 0 0", "steel")
+                    _shape(truck, "cylinder", sizes, place, f"{quarter} 0 0", "steel", True)
             joint(f"{name}/{end}_truck", "fixed", name, sign * car.truck_distance)
             arm = link(f"{name}/{end}_coupler")
             sizes = {"radius": f"{COUPLER_RADIUS:g}", "length": f"{coupler.length:g}"}
             place = f"{sign * 0.5 * coupler.length:g} 0 0"
-            _shape(arm, "cylinder", sizes, place, f"0 {quarter} 0", "steel")
+            _shape(arm, "cylinder", sizes, place, f"0 {quarter} 0", "steel", False)
             at = sign * car.pivot_distance
             turning = joint(f"{name}/{end}_coupler", "continuous", name, at, COUPLER_HEIGHT)
             ElementTree.SubElement(turning, "axis", xyz="0 0 1")

@@ -1,6 +1,7 @@
 """What sensors of cars would measure: the standard messages of ROS, from samples of a run.
 
-Ground truth with white noise of a given standard deviation, which the covariances tell. Frames are
+Ground truth with white noise of a given standard deviation, which the covariances tell. Where
+there is no noise they are zero, which sensor_msgs defines as unknown. Frames are
 those of ``frames``; x is along the car, y to its left, z up. Each sensor measures at the origin of
 the frame that its messages name.
 """
@@ -206,7 +207,8 @@ class NavSat(Sensor):
             status(status=status.STATUS_FIX, service=status.SERVICE_GPS),
             *(SENTINEL,) * 3,
             covariance,
-            kind.COVARIANCE_TYPE_KNOWN,
+            # Zeros are no covariance of a fix: exact ones have none.
+            kind.COVARIANCE_TYPE_KNOWN if self.noise else kind.COVARIANCE_TYPE_UNKNOWN,
         )
 
     def __call__(self, sample: Sample) -> bytes:

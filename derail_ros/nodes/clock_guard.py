@@ -27,6 +27,8 @@ class ClockGuard:
     ) -> None:
         self.publishing = False
         self._node = node
+        # Two simulators with clocks of other names do not hinder each other.
+        self._topic = node.resolve_topic_name(CLOCK)
         self._open, self._close = open, close
         self._wanted = wanted
         self._yielded = False
@@ -41,7 +43,7 @@ class ClockGuard:
         if not self._wanted or now < self._looked + (0.1 if young else 1.0):
             return
         self._looked = now
-        others = self._node.count_publishers(CLOCK) - int(self.publishing)
+        others = self._node.count_publishers(self._topic) - int(self.publishing)
         if others == 0 or not self.publishing:
             self._beside = None
         elif self._beside is None:
@@ -67,7 +69,9 @@ class ClockGuard:
         if not self._yielded:
             self._yielded = True
             self._node.get_logger().warning(
-                f"another node publishes {CLOCK}: this one does not (parameter publish_clock)"
+                f"another node publishes {self._topic}: this one does not (parameter "
+                "publish_clock). Each has a time of its own, and nodes with use_sim_time follow "
+                "that of the other one"
             )
 
     def _gives_way(self, now: float) -> bool:
@@ -81,7 +85,7 @@ class ClockGuard:
         node = self._node
         own = (node.get_name(), node.get_namespace())
         mine, others = [], []
-        for info in node.get_publishers_info_by_topic(CLOCK):
+        for info in node.get_publishers_info_by_topic(self._topic):
             same = (info.node_name, info.node_namespace) == own
             (mine if same else others).append(bytes(info.endpoint_gid))
         return bool(mine and others) and min(mine) > min(others)

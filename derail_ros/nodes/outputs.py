@@ -279,9 +279,17 @@ class TwinWatch:
             if self._twins and not before:
                 self._log.warning(
                     f"another node publishes {', '.join(self._twins[:3])} as well: subscribers "
-                    "get both"
+                    f"get both{self._same_name()}"
                 )
         return self._twins
+
+    def _same_name(self) -> str:
+        """A warning of a node with the name of this one."""
+        own = (self._node.get_name(), self._node.get_namespace())
+        if self._node.get_node_names_and_namespaces().count(own) < 2:
+            return ""
+        name = self._node.get_fully_qualified_name()
+        return f"; it has the name of this one, {name}: either may answer a service call"
 
 
 class ListenerWait:

@@ -33,6 +33,7 @@ class Parameter:
     path : a file or folder, or a list of them, in which ``~`` and ``$NAME`` are replaced: what
         comes from a launch file or a parameter file has not passed through a shell
     numeric : a text that may be a number, which then comes as one
+    places : what may stand after a colon in the text
     """
 
     name: str
@@ -45,6 +46,7 @@ class Parameter:
     form: tuple[str, str] | None = None
     path: bool = False
     numeric: bool = False
+    places: tuple[str, ...] = ()
 
     @property
     def type_name(self) -> str:
@@ -88,6 +90,10 @@ class Parameter:
             raise ValueError(f"{self.name} must be of type {self.type_name}, got {value!r}")
         if self.choices and value not in self.choices:
             raise ValueError(f"{self.name} must be one of {self.range}, got {value!r}")
+        for place in re.findall(r":([^\s,]*)", value) if self.places else ():
+            if place not in self.places:
+                known = ", ".join(self.places)
+                raise ValueError(f"{self.name}: there is no place {place!r}; places are {known}")
         if self.form and not re.fullmatch(self.form[0], value):
             raise ValueError(f"{self.name} must be {self.range}, got {value!r}")
         if self.path:
@@ -144,7 +150,7 @@ SENSORS: dict[str, dict[str, Any]] = {
         "`20:front_truck`; places: `body` (the default), `front_truck`, `rear_truck`",
         "rate": 200.0,
         "unit": "m/s^2",
-        "places": "(:(body|front_truck|rear_truck))?",
+        "places": ("body", "front_truck", "rear_truck"),
     },
     "navsat": {
         "what": "place on the Earth (sensor_msgs/NavSatFix), of scenarios with `site.datum`",
@@ -166,16 +172,17 @@ SENSORS: dict[str, dict[str, Any]] = {
 
 
 def _sensor(
-    name: str, *, what: str, rate: float, unit: str = "", places: str = ""
+    name: str, *, what: str, rate: float, unit: str = "", places: tuple[str, ...] = ()
 ) -> Iterator[Parameter]:
     """The parameters of a kind of sensor: which cars have it, its rate and its noise."""
-    one = f"{CARS}{places}"
+    one = f"{CARS}(:({'|'.join(places)}))?" if places else CARS
     yield Parameter(
         name,
         "",
         f"cars with this sensor, such as `1 20-25` or `all`: {what}",
         read_only=True,
         numeric=True,
+        places=places,
         form=(f"\\s*({one}([\\s,]+{one})*)?\\s*", "car numbers, ranges a-b, or all"),
     )
     yield Parameter(

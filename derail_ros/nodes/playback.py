@@ -48,6 +48,7 @@ class Playback:
     rate : recorded time per wall time
     paused : time stands still
     loop : start again at the end
+    moved : called when a seek has changed the time, before anything of the new time is published
     laps : how often it has started again
     stopped : a client has stopped the player
 
@@ -70,6 +71,7 @@ class Playback:
             raise BagError(f"{path}: the recording is cut off; repair it: derail repair {path}")
         self.output = output
         self.loop = False
+        self.moved: Callable[[], None] = lambda: None
         self.stopped = False
         self.laps = 0
         span = self.bag.span()
@@ -186,6 +188,7 @@ class Playback:
         if not self.start <= stamp <= self.end:
             return False
         self._set(stamp)
+        self.moved()
         self._begin(stamp)
         if stamp > self.start:
             self._show(stamp)

@@ -18,7 +18,7 @@ from derail_ros.nodes.outputs import (
     TwinWatch,
     make_publisher,
 )
-from derail_ros.nodes.playback import Playback
+from derail_ros.nodes.playback import RATES, Playback
 from derail_ros.nodes.process import OK, Program, Stop
 from derail_ros.nodes.serving import service_qos
 from derail_ros.recording.channels import Channel
@@ -79,7 +79,7 @@ class Player(Program):
         self.outputs = Outputs(node)
         self._topics = [c.topic for c in playback.channels if self._open(c)]
         playback.output = self.outputs
-        playback.loop = values["loop"]
+        playback.loop, playback.moved = values["loop"], self._publish_clock
         playback.set_rate(values["rate"])
         self._auto_exit = values["auto_exit"]
         self._guard = ClockGuard(
@@ -241,6 +241,10 @@ class Player(Program):
 
     def _set_rate(self, request: Any, response: Any) -> Any:
         response.success = self.playback.set_rate(request.rate)
+        if not response.success:  # the type has no room for a reason
+            low, high = RATES
+            reason = f"rate must be {low:g} to {high:g}, got {request.rate:g}"
+            self.log.warning(f"set_rate refused: {reason}")
         return response
 
     def _play_next(self, request: Any, response: Any) -> Any:
@@ -255,8 +259,13 @@ class Player(Program):
     def _seek(self, request: Any, response: Any) -> Any:
         stamp = request.time.sec * NANOSECONDS + request.time.nanosec
         response.success = self._playing and self.playback.seek_time(stamp)
-        if response.success:
-            self._publish_clock()
+        if not response.success:
+            at, played = self.playback.base.time, self.playback
+            first, last = (at(t) / NANOSECONDS for t in (played.start, played.end))
+            reason = f"time must be {first:.3f} to {last:.3f} s, got {stamp / NANOSECONDS:.3f}"
+            if not self._playing:
+                reason = "the player has not begun yet"
+            self.log.warning(f"seek refused: {reason}")
         return response
 
     def _stop(self, request: Any, response: Any) -> Any:

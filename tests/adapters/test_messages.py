@@ -437,6 +437,10 @@ def test_the_description_has_the_sizes_and_masses_of_the_train(run: PlanarSimula
         link = next(x for x in root.findall("link") if x.get("name") == f"car_{number}")
         length, width, _ = link.find("visual/geometry/box").get("size").split()
         assert (float(length), float(width)) == pytest.approx((car.length, car.width), rel=1e-5)
+        # Bodies and wheels collide as they are drawn.
+        assert len(link.findall("collision")) == 1
+        for part in ("origin", "geometry/box"):
+            assert link.find(f"collision/{part}").attrib == link.find(f"visual/{part}").attrib
         assert float(link.find("inertial/mass").get("value")) == pytest.approx(car.mass, rel=1e-5)
         izz = float(link.find("inertial/inertia").get("izz"))
         assert izz == pytest.approx(car.inertia, rel=1e-5)

@@ -307,6 +307,9 @@ def test_cars_are_chosen_by_numbers_and_ranges() -> None:
         PARAMETERS["simulator", "imu"].check("locomotive")
     with pytest.raises(ValueError, match="imu must be car numbers"):
         PARAMETERS["simulator", "imu"].check("0")
+    with pytest.raises(ValueError, match="imu: there is no place 'axle'; places are body, front_"):
+        PARAMETERS["simulator", "imu"].check("5:axle")
+    assert PARAMETERS["simulator", "imu"].check("5:front_truck 6") == "5:front_truck 6"
 
 
 def test_a_sensor_of_a_car_that_is_not_there_is_told() -> None:
@@ -409,6 +412,7 @@ def test_places_on_the_earth_are_as_far_apart_as_on_the_track() -> None:
     n = bench.core.session.simulation.n_cars
     fixes = [measured(bench, f"car_{i}/fix")[0] for i in range(1, n + 1)]
     places = [measured(bench, f"car_{i}/odometry")[0].pose.pose.position for i in range(1, n + 1)]
+    assert {f.position_covariance_type for f in fixes} == {0}, "exact: no covariance is known"
     earth = np.array([ecef(f.latitude, f.longitude, f.altitude) for f in fixes])
     plane = np.array([[p.x, p.y, p.z] for p in places])
     for i in range(1, n):

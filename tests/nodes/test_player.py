@@ -155,6 +155,17 @@ def test_after_a_seek_latched_topics_and_the_last_state_come_again(playback) -> 
     assert made.paused
 
 
+def test_after_a_seek_the_clock_goes_out_first(playback) -> None:
+    made, _, sink = playback
+    order: list[object] = []
+    made.moved = lambda: order.append(made.clock)
+    sink.publish = lambda topic, data: order.append(topic)
+    for stamp in ((made.start + made.end) // 2, made.end):
+        order.clear()
+        made.seek(stamp)
+        assert order[0] == made.base.time(stamp) and "/train_state" in order
+
+
 def test_a_seek_plays_what_comes_after_it_and_nothing_twice(playback, bag) -> None:
     made, _, sink = playback
     middle = made.start + (made.end - made.start) // 2

@@ -446,13 +446,27 @@ def processor_time(process: Process) -> float:
 def test_only_one_of_two_simulators_publishes_the_clock(fresh: Graph) -> None:
     """The second refuses; where discovery was slow and both are young, either of them may."""
     second = fresh.start("simulator", "-r", "__node:=second", scenario="")
-    refusal = "another node publishes /clock"
+    refusal = (
+        "another node publishes /clock: this one does not (parameter publish_clock). Each has "
+    )
+    refusal += "a time of its own, and nodes with use_sim_time follow that of the other one"
     fresh.until(
         lambda: refusal in second.output or refusal in fresh.process.output, "one refuses", second
     )
     ticking(fresh)
     assert second.end() == 0, second.output
     ticking(fresh)
+
+
+def test_simulators_can_have_clocks_of_their_own(fresh: Graph) -> None:
+    names = ("-r", "__node:=second", "-r", "/clock:=/second/clock")
+    second = fresh.start("simulator", *names, scenario="")
+    fresh.until(
+        lambda: fresh.node.count_publishers("/second/clock") == 1, "it has its clock", second
+    )
+    ticking(fresh)
+    assert second.end() == 0, second.output
+    assert "clock: this one does not" not in second.output + fresh.process.output
 
 
 def ticking(made: Graph) -> None:
