@@ -72,11 +72,42 @@ def topic_table() -> str:
     return Table(("name", "type", "QoS", "when", "in `record`"), rows, texts=5).markdown() + "\n"
 
 
+def interface_table(kind: str, name: str) -> str:
+    """Markdown table of the fields of a definition in ``derail_msgs``, with their comments."""
+    rows, part = [], "request" if kind == "srv" else ""
+    for line in (ROOT / "derail_msgs" / kind / f"{name}.{kind}").read_text().splitlines():
+        text, _, comment = line.partition("#")
+        words = text.split()
+        if line.startswith("---"):
+            part = "response"
+        elif len(words) == 2 and "=" not in words[1]:
+            rows.append((f"`{words[1]}`", words[0], part, comment.strip().replace("|", "or")))
+    heads: tuple[str, ...] = ("field", "type", "", "meaning")
+    if kind == "msg":
+        heads, rows = ("field", "type", "meaning"), [(a, b, d) for a, b, _, d in rows]
+    return Table(heads, rows, texts=len(heads)).markdown() + "\n"
+
+
+INTERFACES = (
+    *(("srv", name) for name in ("LoadConsist", "InjectRailBreak", "TriggerEmergencyBrake")),
+    *(("msg", name) for name in ("TrainState", "Collision", "TrainEvent", "Outcome", "Quantity")),
+)
+"""The definitions that are used most."""
+
+
+def interfaces() -> str:
+    """Markdown of the fields of :data:`INTERFACES`."""
+    return "\n".join(
+        f"### `derail_msgs/{kind}/{name}`\n\n{interface_table(kind, name)}"
+        for kind, name in INTERFACES
+    )
+
+
 def page() -> str:
     """Text of ``docs/parameters.md``."""
     return f"""# Parameters and topics of the nodes
 
-Generated from `derail_ros/nodes/parameters.py` and `msg_adapters/topics.py`
+Generated from `derail_ros/nodes/parameters.py`, `msg_adapters/topics.py` and `derail_msgs/`
 (`python -m research parameters`).
 
 A whole number is accepted for a double. A refused value changes nothing, and the answer gives the
@@ -97,4 +128,9 @@ in recordings only.
 {parameter_table("recorder")}
 ## `player`
 
-{parameter_table("player")}"""
+{parameter_table("player")}
+## Fields of services and messages
+
+The definitions that are used most. The others are in `derail_msgs/`.
+
+{interfaces()}"""

@@ -22,7 +22,7 @@ def test_the_client_of_the_page(tmp_path) -> None:
     pytest.importorskip("derail_msgs")
     from tests.nodes.graph import LIMIT, graph
 
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    program, other = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     with graph(tmp_path) as made:
         # Of a run before the client's own it hears events too.
         made.simulator(scenario="curve_derailment", speed_factor=0.0)
@@ -36,6 +36,14 @@ def test_the_client_of_the_page(tmp_path) -> None:
             timeout=LIMIT,
         )
         own = len(made.ask("get_events").events)
+        loaded = subprocess.run(
+            [sys.executable, "-c", other],
+            env=made.env,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+        )
+    assert loaded.returncode == 0 and loaded.stdout == "1 base_train\n", loaded
     assert answer.returncode == 0, answer.stderr
     said = r"broken at -?[\d.]+ m: \d+ cars derailed\nat rest after [\d.]+ s, (\d+) events heard"
     found = re.search(said, answer.stdout)
