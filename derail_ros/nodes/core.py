@@ -392,7 +392,8 @@ class SimulatorCore:
         session.begin()
         self._logger.info(f"run {self.run_id} of {prepared.name} begins")
         for warning in prepared.warnings:
-            self._logger.warning(f"{prepared.name}: {warning}")
+            named = warning.startswith(prepared.name)  # it begins with a file of the scenario
+            self._logger.warning(warning if named else f"{prepared.name}: {warning}")
 
     def _go(self, state: State) -> None:
         if self.state == State.PLAYING != state:
