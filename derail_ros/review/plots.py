@@ -295,7 +295,7 @@ def energy_over_time(run: RecordedRun) -> Figure | None:
     initial = available(run.ledger())
     unit, size = ("GJ", 1e9) if initial >= 1e9 else ("MJ", 1e6)
     title = f"{run.title}: what stopped the train"
-    note = f"Where the {words.energy(initial)} went that there was, over time."
+    note = f"Where the {words.energy(initial)} went, over time."
     if initial == run.energy["initial"][0]:
         note = f"Where the {words.energy(initial)} at the start went, over time."
     figure, axes = _sheet(5.2, 2.75, title, note)

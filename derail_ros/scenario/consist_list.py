@@ -111,6 +111,13 @@ BRAKES: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("HAND BRAKE", "HANDBRAKE", "HB"), {"hand_brake": True}),
     "NO EMPTY/LOAD": {"empty_load_device": False},
 }
+SIZES = {
+    "length_over_couplers": (6.0, 60.0, "short", "long"),
+    "length": (6.0, 60.0, "short", "long"),
+    "tare": (8e3, 250e3, "light", "heavy"),
+    "gross": (8e3, 250e3, "light", "heavy"),
+}
+"""Meaning -> least and largest size of a car, m or kg, and what one beyond them is called."""
 TRUCK_SHARE = 0.75
 """Truck centres over length over couplers of a car of no type, assumed."""
 COUPLINGS = (
@@ -123,12 +130,13 @@ FEET = re.compile(r"(\d+(?:\.\d+)?)\s*(?:'|ft|-)\s*(?:(\d+(?:\.\d+)?)\s*(?:\"|''
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its place, heading, meaning, and unit (a key of ``units.UNITS``)."""
+    """A column: its place, heading, meaning, unit (a key of ``units.UNITS``), its word there."""
 
     index: int
     heading: str
     meaning: str
     unit: str = ""
+    word: str = ""
 
 
 @dataclass
@@ -302,6 +310,9 @@ class _Reader:
         if not seen.keys() & {"type", "length_over_couplers", "length"}:
             reason = "no column gives the type or the length of the cars"
             raise self.error(line, "", f"{reason}; headings: {', '.join(cells)[:200]}")
+        length = seen.get("length_over_couplers")
+        if length and not re.search("coupl|pulling", length.heading.lower()):
+            self.result.assumed.append(f"column {length.heading!r} taken as over couplers")
         for heading in unknown:
             self.result.assumed.append(f"column {heading!r} is not used")
 
@@ -326,7 +337,7 @@ class _Reader:
                 example = "ft" if quantity == LENGTH else "lb"
                 reason = f"names no unit; write for example {heading + f' ({example})'!r}"
                 raise self.error(line, heading, reason)
-            return Column(index, heading, meaning, unit)
+            return Column(index, heading, meaning, unit, tail)
         return None
 
     # --- rows -------------------------------------------------------------------------------
@@ -341,6 +352,8 @@ class _Reader:
             text = cells[column.index] if column.index < len(cells) else ""
             if not text.isdigit():
                 raise self.error(line, column.heading, f"must be a whole number, got {text!r}")
+            if int(text) == 0:
+                raise self.error(line, column.heading, "is 0; positions count from 1, the head")
             if int(text) in by_number:
                 other = by_number[int(text)][0]
                 raise self.error(line, column.heading, f"{text} is on line {other} already")
@@ -412,9 +425,30 @@ class _Car:
         else:
             value = _plain(text)
         if value is None or value < 0.0:
-            raise self.error(meaning, f"must be a number of {column.unit}, got {shown(text)}")
+            raise self.error(meaning, f"must be a number of {column.word}, got {shown(text)}")
+        if value:
+            self._check_size(column, value)
         value = round(value, 4)
         return (int(value) if value == int(value) else value, column.unit) if value else None
+
+    def _check_size(self, column: Column, value: float) -> None:
+        """Refuse what no car has, in the words of the list."""
+        if column.meaning not in SIZES:
+            return
+        units = UNITS[QUANTITIES[column.meaning]]
+        low, high, small, large = SIZES[column.meaning]
+        size = value * units[column.unit]
+        if low <= size <= high:
+            return
+        others = [u for u in ("m", "ft", "lb", "kg") if low <= value * units.get(u, 0.0) <= high]
+        hint = f"; is it in {others[0]}?" if others else ""
+        reason = f"{value:g} {column.word}: no car is that {small if size < low else large}"
+        raise self.error(column.meaning, reason + hint)
+
+    def written(self, meaning: str) -> str:
+        """A quantity as the list has it, with its unit."""
+        ((column, text),) = self.texts[meaning]
+        return f"{text} {column.word}"
 
     def si(self, meaning: str) -> float | None:
         given = self.number(meaning)
@@ -515,7 +549,8 @@ class _Car:
         tare, gross, lading = (self.number(key) for key in ("tare", "gross", "lading"))
         light, heavy, goods = (self.si(key) for key in ("tare", "gross", "lading"))
         if light is not None and heavy is not None and heavy < light:
-            raise self.error("gross", f"{shown(heavy)} kg is below the tare of {shown(light)} kg")
+            reason = f"{self.written('gross')} is below the tare of {self.written('tare')}"
+            raise self.error("gross", reason)
         if self.kind is not None and self.kind.locomotive:
             given = gross or tare
             return {f"mass_{given[1]}": given[0]} if given else {}
@@ -539,6 +574,12 @@ class _Car:
                 load = "loaded"
                 self.note("taken as loaded")
         empty = load == "empty" or load == 0.0
+        own = self.kind.empty_mass_kg if self.kind is not None and light is None else None
+        if own and heavy is not None and "gross" in self.texts and not empty and heavy <= own:
+            ((column, _),) = self.texts["gross"]
+            usual = own / UNITS[MASS][column.unit]
+            reason = f"{self.written('gross')} loaded is not above the empty mass of "
+            raise self.error("gross", f"{reason}{self.type_name}, {usual:.4g} {column.word}")
         if self.kind is None and gross is None and (tare is None or not empty):
             key = "tare" if empty else "gross"
             raise self.error(key, f"is needed of a car that is {load} and has no type")
@@ -589,8 +630,9 @@ class _Car:
         return {"truck_centres_m": round(self.kind.truck_centres_m * length / usual, 3)}
 
 
-EXACT, ALIAS, LIKELY = 2, 1, 0
-"""How sure a type is: by its name, by an alias, by a code or a part of the text."""
+EXACT, SPECIFICATION, CODE, ALIAS, LIKELY = 4, 3, 2, 1, 0
+"""How sure a type is: by its name, by an alias with a number (DOT-111), by a code of more than a
+letter (C112), by another alias (covered hopper), by a letter or a part of the text."""
 
 
 def find_type(text: str, stock: RollingStock) -> tuple[str, int] | None:
@@ -604,14 +646,17 @@ def find_type(text: str, stock: RollingStock) -> tuple[str, int] | None:
         return text, EXACT
     for name, kind in stock.cars.items():  # today's cars before older ones of the same name
         if plain in map(_normal, kind.aliases):
-            return name, ALIAS
+            return name, SPECIFICATION if re.search(r"\d", plain) else ALIAS
     for name in stock.cars:
         if plain == _normal(name):
             return name, ALIAS
     if re.fullmatch(r"[A-Z]\d{2,3}[A-Z]?|[A-Z]", plain):
         codes = [(code, n) for n, kind in stock.cars.items() for code in kind.aar_codes]
         fits = [(len(code), n) for code, n in codes if plain.startswith(code)]
-        return (max(fits)[1], LIKELY) if fits else None
+        if not fits:
+            return None
+        length, name = max(fits)
+        return name, CODE if length > 1 else LIKELY
     inside = [
         (len(_normal(alias)), name)
         for name, kind in stock.cars.items()

@@ -117,13 +117,21 @@ MISTAKES = {
     "negative": ("59.7", "-4", 5, "Length (ft)", "must be a number of ft"),
     "unknown type": ("V,autorack,93.83", ",zeppelin,", 4, "Type", "unknown car type 'zeppelin'"),
     "unknown load": ("143,L,2,wheat", "143,X,2,wheat", 3, "L/E", "must be L or E"),
-    "gross below tare": ("62500,143", "62500,14.3", 3, "Gross (short tons)", "below the tare"),
+    "gross below tare": (
+        "62500,143",
+        "62500,14.3",
+        3,
+        "Gross (short tons)",
+        "14.3 short tons is below the tare of 62500 lb",
+    ),
     "a car missing": ("4,GATX", "5,GATX", 6, "Pos", "5 is on line 5 already"),
     "a gap": ("5,TTAX", "7,TTAX", 6, "Pos", "7 follows 4: a car is missing"),
     "no position": ("4,GATX", "x,GATX", 5, "Pos", "must be a whole number, got 'x'"),
     "shared trucks": ("2,ethanol", "3,ethanol", 5, "Trucks", "tank_dot_117j has 2"),
     "brakes": ("cut out", "weak", 4, "Brakes", "must be one of composition"),
-    "too long": ("59.7", "900", 5, "length_over_couplers_ft", "must be at most 200"),
+    "too long": ("59.7", "900", 5, "Length (ft)", "900 ft: no car is that long"),
+    "metres": ("59.7", "17.98", 5, "Length (ft)", "17.98 ft: no car is that short; is it in m?"),
+    "position 0": ("1,CN 5700", "0,CN 5700", 2, "Pos", "is 0; positions count from 1"),
     "no columns": (LIST, "a,b\n1,2\n", 1, "", "no column gives the type or the length"),
     "empty": (LIST, "\n", None, "", "is empty"),
     "headings only": (LIST, LIST.splitlines()[0], None, "", "has headings and no cars"),
@@ -137,6 +145,37 @@ def test_mistakes(tmp_path, old, new, line, heading, reason):
     error = caught.value
     assert (error.file, error.line, error.field) == ("cars.csv", line, heading)
     assert reason in error.reason and "\n" not in str(error)
+
+
+HEADS = "Pos,Type,L/E,Gross (tons)\n"
+WEIGHTS = {
+    "pounds": ("Pos,Type,L/E,Gross (kg)\n1,DOT-117J,L,286000\n",
+               "286000 kg: no car is that heavy; is it in lb?"),
+    "below empty": (f"{HEADS}1,boxcar,L,12\n",
+                    "12 tons loaded is not above the empty mass of boxcar_50ft_286k"),
+    "negative": (f"{HEADS}1,boxcar,L,-20\n", "must be a number of tons, got '-20'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text, reason", WEIGHTS.values(), ids=WEIGHTS.keys())
+def test_weights_are_told_in_the_units_of_the_list(tmp_path, text, reason):
+    with pytest.raises(ScenarioError) as caught:
+        read(tmp_path, text)
+    assert caught.value.field.startswith("Gross (") and caught.value.line == 2
+    assert reason in caught.value.reason and "_tons" not in caught.value.reason
+
+
+def test_the_more_specific_of_code_and_type_decides(tmp_path):
+    text = (
+        "AAR,Type,Length (ft)\nC112,covered hopper,42\nT104,DOT-111,60\nH350,hopper,53\n"
+        "V942,covered hopper,59\n"
+    )
+    found = read(tmp_path, text)
+    assert [block["car"] for block in found.blocks] == [
+        "covered_hopper_small_286k", "tank_dot_111_30000_gal", "hopper_263k",
+        "covered_hopper_286k",
+    ]  # fmt: skip
+    assert "column 'Length (ft)' taken as over couplers" in found.assumed
 
 
 def test_types_by_code_and_name():
