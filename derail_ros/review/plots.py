@@ -127,8 +127,8 @@ def collision(run: RecordedRun, contact: Collision) -> Figure:
         axes.set_title(f"{time:.2f} s   {head}", loc="left", fontsize=10, weight="bold", pad=5)
         drawing.scale_inside(axes, window, 0.2, scene=scene)
     note = (
-        f"{run.title}.  {words.capital(contact.touch)}; closing at"
-        f" {contact.closing_speed:.1f} m/s, {math.degrees(contact.angle):.0f}° between the cars;"
+        f"{run.title}.  {words.capital(contact.touch)}; {contact.approach},"
+        f" {math.degrees(contact.angle):.0f}° between the cars;"
         f" {words.energy(contact.energy_lost)} taken out of them."
     )
     drawing.heading(figure, f"Car {contact.car_a} strikes car {contact.car_b}", note)

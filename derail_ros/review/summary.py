@@ -274,6 +274,9 @@ def text(run: RecordedRun, facts: dict[str, Any] | None = None) -> str:
     lines: list[str] = [run.title, "=" * len(run.title), ""]
     for sentence in headline(run):
         lines += _wrap(sentence, 96)
+    constants = facts["scenario"]["constants"]
+    lines += _wrap(f"This is one possible run, with {constants} constants; another draw or push "
+                   "gives another outcome (derail simulate --ensemble).", 96)  # fmt: skip
     if run.outcome.void:
         lines.append(NOT_VALID)
     lines += ["", *_outcome(run, facts["outcome"])]

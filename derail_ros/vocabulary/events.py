@@ -244,12 +244,18 @@ class Collision:
         return f"{corner} corner of car {self.corner_car} on car {self.other_car}{wall}"
 
     @property
+    def approach(self) -> str:
+        """How fast the parts closed, or separated, in words."""
+        way = "separating" if self.closing_speed <= -0.05 else "closing"
+        return f"{way} at {abs(self.closing_speed):.1f} m/s"
+
+    @property
     def text(self) -> str:
         """The collision in a line, without its time."""
         struck = self.object or f"car {self.car_b}"
         return (
             f"car {self.car_a} strikes {struck}: {force(self.peak_force)} at the {self.touch}, "
-            f"closing at {self.closing_speed:.1f} m/s, "
+            f"{self.approach}, "
             f"{math.degrees(self.angle):.0f}\N{DEGREE SIGN} "
             + ("to it" if self.object else "between the cars")
         )

@@ -76,6 +76,17 @@ def test_forces_in_the_train_have_place_and_time_and_limits(run: RecordedRun) ->
     )
 
 
+def test_a_summary_says_that_it_is_one_run_and_with_which_constants(run: RecordedRun) -> None:
+    head = summary.text(run).split("\n\n")[1]
+    assert "This is one possible run, with published constants" in head
+
+
+def test_parts_that_touch_while_they_separate(run: RecordedRun) -> None:
+    c = run.collisions[0]
+    assert "closing at 3.4 m/s" in replace(c, closing_speed=3.4).text
+    assert "separating at 3.4 m/s" in replace(c, closing_speed=-3.4).text
+
+
 def test_the_timeline_is_in_order_and_leaves_nothing_out(run: RecordedRun) -> None:
     line = summary.timeline(run)
     times = [e["time_s"] for e in line]
