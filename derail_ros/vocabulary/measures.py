@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from derail_ros.vocabulary.ledger import available
 from derail_ros.vocabulary.outcome import COUPLING_VALUES, Outcome
 from derail_ros.vocabulary.severity import severity
 from derail_ros.vocabulary.site import SiteOutcome
@@ -120,8 +121,10 @@ class Measure:
 
 
 def _share(*entries: str) -> Callable[[Outcome], float]:
+    """Share of the energy that the train had to lose (``ledger.available``)."""
+
     def share(o: Outcome) -> float:
-        total = o.energy.get("initial", 0.0)
+        total = available(o.energy)
         taken = [o.energy[e] for e in entries if e in o.energy]
         return sum(taken) / total if total > 0.0 and taken else math.nan
 

@@ -58,3 +58,12 @@ def test_what_was_gained_on_the_way_counts_as_energy_to_lose():
     assert stopped_by(ledger).startswith(
         "Of the 2.00 MJ at the start, from locomotives and from the grade, these took: the brakes"
     )
+
+
+def test_shares_of_a_record_are_those_of_the_text():
+    from derail_ros.vocabulary.measures import MEASURES
+
+    ledger = {"initial": 1e6, "potential": -1e6, "brakes": 1.5e6, "collisions": 5e5}
+    found = outcome(energy=ledger)
+    assert MEASURES["share_brakes"].value(found) == 0.75
+    assert {e.key: s for e, _, s in shares(ledger)}["brakes"] == 0.75
