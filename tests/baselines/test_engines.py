@@ -348,9 +348,10 @@ def test_the_published_bar_is_driven():
 
 SPATIAL = {"cars_on_side", "cars_spilled", "largest_roll_rad", "pile_height_m", "real_time_factor"}
 STANDING = {f"standing_{k}" for k in ("cars", "struck", "moved", "derailed", "peak_force_N")}
+BEYOND = {"beyond_track_m"}  # of members of an ensemble only
 UNKNOWN = {
-    "planar": SPATIAL | STANDING,
-    "yang-manos": SPATIAL | STANDING | {
+    "planar": SPATIAL | STANDING | BEYOND,
+    "yang-manos": SPATIAL | STANDING | BEYOND | {
         "peak_force_N", "peak_force_pair", "peak_force_time_s", "peak_resultant_N",
         "cars_above_5MN", "cars_above_10MN", "severity", "share_collisions",
     },

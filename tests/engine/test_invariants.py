@@ -263,7 +263,7 @@ couplers:
   draft_gear: {start: middle}
   knuckle_strength_N: 2.89e6
   body_strength_N: 4.0e6
-  weak: [{coupling: 12, strength_N: 1.0e6}]
+  weak: [{coupling: 12, strength_N: 0.3e6}]
 derailment: {lv_limit: 0.8, lv_hold_s: 0.05, truck_play_m: 0.03, guide_strength_N: 200e3}
 """
 
