@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from derail_ros.scenario.messages import shown
 from derail_ros.scenario.resolve import KMH, Block, Resolved, placed_bodies, rail_breaks
+from derail_ros.vocabulary.params import DerailmentParams
 from derail_ros.vocabulary.words import cars
 
 LIGHTEST, HEAVIEST = 9e3, 250e3
@@ -21,7 +22,7 @@ FASTEST = 200.0
 
 def doubts(resolved: Resolved) -> tuple[str, ...]:
     """The unlikely values of a scenario, a sentence each."""
-    return (*_cars(resolved), *_run(resolved), *_heights(resolved))
+    return (*_cars(resolved), *_run(resolved), *_in_space(resolved))
 
 
 def _cars(resolved: Resolved) -> Iterator[str]:
@@ -45,10 +46,18 @@ def _odd(block: Block, length: float) -> Iterator[str]:
             yield f"{shown(value)} {unit}: no car is as {high} as that"
 
 
-def _heights(resolved: Resolved) -> Iterator[str]:
-    """Heights of fixed bodies that are assumed, where the model reads them."""
+def _in_space(resolved: Resolved) -> Iterator[str]:
+    """What is assumed or was not compared in three dimensions."""
     model = resolved.model
-    if model.model == "spatial" and model.site is not None:
+    if model.model != "spatial":
+        return
+    limit, compared = model.derailment.lv_limit, DerailmentParams().lv_limit
+    if limit < compared:
+        yield (
+            f"derailment.lv_limit: {shown(limit)}: in three dimensions the load on the wheels is "
+            f"that of the moment; results were compared at {shown(compared)} only"
+        )
+    if model.site is not None:
         for body in model.site.fixed:
             if "height_m" not in body.model_fields_set:
                 assumed = f"{shown(body.height_m)} m over the ground are assumed"

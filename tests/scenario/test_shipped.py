@@ -336,3 +336,14 @@ def test_macmillan_yard_groups():
     assert (racks.mass / 1e3, racks.length / 0.3048) == pytest.approx((1245, 2252), rel=1e-3)
     loaded = train_totals(car for car in bodies if car.loads)
     assert (loaded.mass / 1e3, loaded.length / 0.3048) == pytest.approx((3391, 2074), rel=1e-3)
+
+
+def test_a_low_limit_in_three_dimensions_is_told():
+    def told(**changed):
+        scenario = load_scenario_by_name("minot_2002").with_overrides(changed)
+        return [w for w in scenario.warnings if "derailment.lv_limit" in w]
+
+    (warning,) = told(model="spatial")
+    assert "compared at" in warning
+    assert not told()
+    assert not told(model="spatial", **{"derailment.lv_limit": 2.0})
