@@ -82,7 +82,7 @@ def picture(found: Prediction, title: str) -> Figure:
     bands.set_xlim(0.0, top)
     bands.set_xlabel("cars derailed (bands: 50 and 90 %, line: median)")
     dress(bands, "x", ("top", "right", "left"))
-    page.text(0.105, 0.012, "An accident is one of these runs.", size=8.5, color=SUBTLE)
+    page.text(0.105, 0.012, "One accident is like one of these runs.", size=8.5, color=SUBTLE)
     return page
 
 

@@ -198,9 +198,10 @@ class Scenario:
         """Draws of a member of an ensemble: dotted path -> value, or factor if relative."""
         found = uncertain.drawn(self, member, seed)
         one = self.varied(member, seed)
-        if member == 0 or not one.model.drawn:
+        if not one.model.drawn:
             return found
-        draw = load_calibrated().draw(member - 1, seed)
+        known = load_calibrated()
+        draw = known.draw(member - 1, seed) if member else known.central()
         for section, values in values_of(one._resolved, one.model.drawn, draw).items():
             found |= {f"{section}.{key}": value for key, value in values.items()}
         return found

@@ -76,6 +76,8 @@ def test_calibrated_constants_are_drawn_beside_what_is_uncertain() -> None:
     params = own.member_params(1)
     assert params.brakes.triggers[0].delay == drawn["brakes.delay_s"]
     assert params.ground.scale == drawn["ground.scale"]  # uncertain, so not calibrated
+    central = own.member_inputs(0)  # of the scenario itself, not drawn
+    assert central["brakes.delay_s"] == own.to_params().brakes.triggers[0].delay
 
 
 @pytest.mark.parametrize(
