@@ -46,6 +46,12 @@ def _ledger(run: RecordedRun) -> Mapping[str, float]:
 # --- cars ------------------------------------------------------------------------------------
 
 
+def _resting(run: RecordedRun, x: float, y: float, yaw: float) -> dict[str, float]:
+    """Pose at the end, and where that is along the track and to its left."""
+    track, left = run.line.locate(x, y)
+    return {"x_m": x, "y_m": y, "yaw_rad": yaw, "track_m": track, "left_m": left}
+
+
 def car_findings(run: RecordedRun) -> list[dict[str, Any]]:
     """Findings for each car: where and when it derailed, parted, was struck, came to rest."""
     cars, outcome, end = run.cars, run.outcome, run.plane[-1]
@@ -66,7 +72,7 @@ def car_findings(run: RecordedRun) -> list[dict[str, Any]]:
             "peak_force_time_s": finite(outcome.car_peak_time[i]),
             "at_rest": None,
             "pushed_on_until_s": None,
-            "end": {"x_m": float(end[i, 0]), "y_m": float(end[i, 1]), "yaw_rad": float(end[i, 2])},
+            "end": _resting(run, *map(float, end[i, :3])),
         }
         for i in range(run.n)
     ]
@@ -416,7 +422,9 @@ def _cars(rows: list[dict[str, Any]]) -> list[str]:
         end = row["end"]
         turned = math.degrees(math.remainder(end["yaw_rad"], 2 * math.pi))
         heading = f"heading {words.coordinate(turned, 0)}°"
-        where = f"at {words.place(end['x_m'], end['y_m'])}, {heading}"
+        side = "left" if end["left_m"] > 0.0 else "right"
+        off = f"{abs(end['left_m']):.1f} m {side} of the track"
+        where = f"at {words.coordinate(end['track_m'])} m, {off}, {heading}"
         if rest := row["at_rest"]:
             tell("at rest", rest["time_s"], where)
             if row["pushed_on_until_s"] is not None:
