@@ -149,9 +149,9 @@ class PlainProgress:
 
 
 def _left(task: Mapping[str, Any], moment: float) -> str:
-    """About how long a task goes on, by what was done since it began; "" if that is not known."""
+    """About how long a task goes on, by what was done since it began; "" at its end or before."""
     done = task["completed"] - task["before"]
-    if task["total"] is None or done <= 0.0:
+    if task["total"] is None or done <= 0.0 or task["completed"] >= task["total"]:
         return ""
     left = (task["total"] - task["completed"]) * (moment - task["began"]) / done
     return f"about {left / 60.0:.0f} min left" if left >= 90.0 else f"about {left:.0f} s left"
