@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,30 +38,47 @@ PLACES = ("body", "front_truck", "rear_truck")
 """Places of an inertial measurement unit: the car, or the axle boxes of a truck."""
 
 
-class Sensor(ABC):
-    """A sensor at a car (index from 0): ``sensor(sample)`` gives the bytes of its message.
+@dataclass(frozen=True)
+class Mount:
+    """What every sensor is made with.
 
-    ``noise`` is a standard deviation in the unit of what is measured; ``topic`` is where its
-    messages are sent.
+    Attributes
+    ----------
+    car : index of the car, from 0
+    params : the train
+    context : stamps and the frame of the run
+    prefix : before the names of the train's frames
+    noise : standard deviation in the unit of what is measured
+    rng : where noise comes from; not used without noise
+    """
+
+    car: int
+    params: TrainParams
+    context: RunContext
+    prefix: str = ""
+    noise: float = 0.0
+    rng: Any = None
+
+
+class Sensor(ABC):
+    """A sensor at a car: ``sensor(sample)`` gives the bytes of its message.
+
+    ``name`` ends its topic, ``place`` is where it sits. ``topic`` is where its messages are sent,
+    ``frame`` what they are measured in.
     """
 
     msgtype: str
 
-    def __init__(
-        self,
-        name: str,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        noise: float,
-        rng: Any,
-        along: float = 0.0,
-    ) -> None:
-        topic = topic_named(f"car_{car + 1}/{name}")
+    def __init__(self, mount: Mount, name: str, place: str = "body") -> None:
+        topic = topic_named(f"car_{mount.car + 1}/{name}")
         assert topic is not None
         self.topic: Topic = topic
-        self.context, self.car, self.noise, self._rng = context, car, noise, rng
-        self._height, self._along = heights(params.cars[car : car + 1]), along
+        self.context, self.car, self.noise = mount.context, mount.car, mount.noise
+        self.frame = f"{mount.prefix}car_{mount.car + 1}" + (place != "body") * f"/{place}"
+        distance = mount.params.cars[mount.car].truck_distance
+        self._along = {"body": 0.0, "front_truck": distance, "rear_truck": -distance}[place]
+        self._height = heights(mount.params.cars[mount.car : mount.car + 1])
+        self._rng = mount.rng
         self._template: Template | None = None
 
     def _noisy(self, values: Any, noise: float | None = None) -> NDArray[np.float64]:
@@ -105,17 +123,8 @@ class Odometry(Sensor):
 
     msgtype = SENSOR_TOPICS["odometry"].msgtype
 
-    def __init__(
-        self,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        prefix: str,
-        noise: float,
-        rng: Any,
-    ) -> None:
-        super().__init__("odometry", car, params, context, noise, rng)
-        self._child = f"{prefix}car_{car + 1}"
+    def __init__(self, mount: Mount) -> None:
+        super().__init__(mount, "odometry")
 
     def _message(self) -> Any:
         pose = message_class("geometry_msgs/msg/Pose")
@@ -124,7 +133,7 @@ class Odometry(Sensor):
         zero = np.zeros(36)
         return message_class(self.msgtype)(
             marked_header(self.context.frame_id),
-            self._child,
+            self.frame,
             message_class("geometry_msgs/msg/PoseWithCovariance")(pose(point, quaternion()), zero),
             message_class("geometry_msgs/msg/TwistWithCovariance")(twist, zero),
         )
@@ -143,21 +152,8 @@ class Imu(Sensor):
 
     msgtype = SENSOR_TOPICS["imu_body"].msgtype
 
-    def __init__(
-        self,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        prefix: str,
-        noise: float,
-        rng: Any,
-        place: str = "body",
-        turn_noise: float = 0.0,
-    ) -> None:
-        distance = params.cars[car].truck_distance
-        along = {"body": 0.0, "front_truck": distance, "rear_truck": -distance}[place]
-        super().__init__(f"imu_{place}", car, params, context, noise, rng, along)
-        self._frame = f"{prefix}car_{car + 1}" + ("" if place == "body" else f"/{place}")
+    def __init__(self, mount: Mount, place: str = "body", turn_noise: float = 0.0) -> None:
+        super().__init__(mount, f"imu_{place}", place)
         self._turn_noise = turn_noise
 
     def _message(self) -> Any:
@@ -165,7 +161,7 @@ class Imu(Sensor):
             return noise**2 * np.eye(3).reshape(-1)
 
         return message_class(self.msgtype)(
-            marked_header(self._frame),
+            marked_header(self.frame),
             quaternion(),
             covariance(0.0),
             vector(),
@@ -185,25 +181,16 @@ class NavSat(Sensor):
 
     msgtype = SENSOR_TOPICS["fix"].msgtype
 
-    def __init__(
-        self,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        prefix: str,
-        noise: float,
-        rng: Any,
-        datum: Datum,
-    ) -> None:
-        super().__init__("fix", car, params, context, noise, rng)
-        self._frame, self._datum = f"{prefix}car_{car + 1}", datum
+    def __init__(self, mount: Mount, datum: Datum) -> None:
+        super().__init__(mount, "fix")
+        self._datum = datum
 
     def _message(self) -> Any:
         kind = message_class(self.msgtype)
         status = message_class("sensor_msgs/msg/NavSatStatus")
         covariance = self.noise**2 * np.eye(3).reshape(-1)
         return kind(
-            marked_header(self._frame),
+            marked_header(self.frame),
             status(status=status.STATUS_FIX, service=status.SERVICE_GPS),
             *(SENTINEL,) * 3,
             covariance,
@@ -224,24 +211,14 @@ class WheelSpeed(Sensor):
 
     msgtype = SENSOR_TOPICS["wheel_speed"].msgtype
 
-    def __init__(
-        self,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        prefix: str,
-        noise: float,
-        rng: Any,
-    ) -> None:
-        along = params.cars[car].truck_distance
-        super().__init__("wheel_speed", car, params, context, noise, rng, along)
-        self._frame = f"{prefix}car_{car + 1}/front_truck"
+    def __init__(self, mount: Mount) -> None:
+        super().__init__(mount, "wheel_speed", "front_truck")
 
     def _message(self) -> Any:
         twist = message_class("geometry_msgs/msg/Twist")
         zero = vector(0.0, 0.0, 0.0)
         return message_class(self.msgtype)(
-            marked_header(self._frame), twist(vector(SENTINEL, 0.0, 0.0), zero)
+            marked_header(self.frame), twist(vector(SENTINEL, 0.0, 0.0), zero)
         )
 
     def __call__(self, sample: Sample) -> bytes:
@@ -260,21 +237,12 @@ class PipePressure(Sensor):
 
     msgtype = SENSOR_TOPICS["brake_pipe_pressure"].msgtype
 
-    def __init__(
-        self,
-        car: int,
-        params: TrainParams,
-        context: RunContext,
-        prefix: str,
-        noise: float,
-        rng: Any,
-        reached: Mapping[int, float],
-    ) -> None:
-        super().__init__("brake_pipe_pressure", car, params, context, noise, rng)
-        self._frame, self._reached = f"{prefix}car_{car + 1}", reached
+    def __init__(self, mount: Mount, reached: Mapping[int, float]) -> None:
+        super().__init__(mount, "brake_pipe_pressure")
+        self._reached = reached
 
     def _message(self) -> Any:
-        header = marked_header(self._frame)
+        header = marked_header(self.frame)
         return message_class(self.msgtype)(header, SENTINEL, float(self.noise**2))
 
     def __call__(self, sample: Sample) -> bytes:

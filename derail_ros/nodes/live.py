@@ -169,18 +169,18 @@ class LiveMessages:
                 self._log.warning(f"no {name}: the train has cars 1 to {n} only")
             for car, place in cars:
                 rng = np.random.default_rng([settings.sensor_seed, number, car])
-                common = (params, context, prefix, noise, rng)
+                mount = sensors.Mount(car, params, context, prefix, noise, rng)
                 if name == "odometry":
-                    yield rate, sensors.Odometry(car, *common)
+                    yield rate, sensors.Odometry(mount)
                 elif name == "imu":
                     turn_noise = settings.imu_turn_noise
-                    yield rate, sensors.Imu(car, *common, place or "body", turn_noise)
+                    yield rate, sensors.Imu(mount, place or "body", turn_noise)
                 elif name == "navsat" and self._datum is not None:
-                    yield rate, sensors.NavSat(car, *common, self._datum)
+                    yield rate, sensors.NavSat(mount, self._datum)
                 elif name == "wheel_speed":
-                    yield rate, sensors.WheelSpeed(car, *common)
+                    yield rate, sensors.WheelSpeed(mount)
                 elif name == "pipe_pressure":
-                    yield rate, sensors.PipePressure(car, *common, self._reached)
+                    yield rate, sensors.PipePressure(mount, self._reached)
 
     def begin(self) -> Messages:
         """Latched messages: the train's description, static frames, the place."""

@@ -95,10 +95,10 @@ def test_in_the_plane_nothing_changes() -> None:
         c, s, along = np.cos(yaw), np.sin(yaw), params.cars[i].truck_distance
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         felt = turn @ sample.acceleration[i, :3] + [-(rate**2) * along, growth * along, GRAVITY]
-        imu = read(sensors.Imu(i, params, CONTEXT, "", 0.0, None, "front_truck"), sample)
+        imu = read(sensors.Imu(sensors.Mount(i, params, CONTEXT), "front_truck"), sample)
         assert xyz(imu.linear_acceleration) == pytest.approx(felt, rel=1e-12, abs=1e-12)
         assert xyz(imu.angular_velocity) == [0.0, 0.0, rate]
-        odometry = read(sensors.Odometry(i, params, CONTEXT, "", 0.0, None), sample)
+        odometry = read(sensors.Odometry(sensors.Mount(i, params, CONTEXT)), sample)
         assert xyz(odometry.pose.pose.position) == sample.pose[i, :3].tolist()
         speed = turn @ sample.velocity[i, :3]
         assert xyz(odometry.twist.twist.linear) == pytest.approx(speed, rel=1e-12, abs=1e-12)
@@ -113,12 +113,12 @@ def test_poses_transforms_odometry_and_fixes_agree_of_a_car_on_its_side() -> Non
     datum = Datum(43.5, -79.5, 0.0, 1.0)
     for i, pose in enumerate(poses):
         frame = frames[f"car_{i + 1}"]
-        odometry = read(sensors.Odometry(i, params, CONTEXT, "", 0.0, None), sample)
+        odometry = read(sensors.Odometry(sensors.Mount(i, params, CONTEXT)), sample)
         assert odometry.child_frame_id == f"car_{i + 1}"
         for other in (pose, odometry.pose.pose):
             assert xyz(other.position) == xyz(frame.translation)
             assert xyzw(other.orientation) == xyzw(frame.rotation)
-        fix = read(sensors.NavSat(i, params, CONTEXT, "", 0.0, None, datum), sample)
+        fix = read(sensors.NavSat(sensors.Mount(i, params, CONTEXT), datum), sample)
         there = datum.fix(*xyz(frame.translation))
         assert (fix.latitude, fix.longitude, fix.altitude) == tuple(there)
     # The origin lies beside the mass centre now: on the side of the wheels.
@@ -127,7 +127,7 @@ def test_poses_transforms_odometry_and_fixes_agree_of_a_car_on_its_side() -> Non
 
 def test_a_car_on_its_side_feels_its_weight_across() -> None:
     params, sample = simulation().params, lying()
-    imu = read(sensors.Imu(0, params, CONTEXT, "", 0.0, None), sample)
+    imu = read(sensors.Imu(sensors.Mount(0, params, CONTEXT)), sample)
     weight = GRAVITY * axes(sample.pose)[0].T @ [0.0, 0.0, 1.0]
     assert xyz(imu.linear_acceleration) == pytest.approx(weight)
     assert imu.linear_acceleration.y == pytest.approx(-GRAVITY, abs=0.02)
@@ -141,6 +141,6 @@ def test_rates_of_turn_are_about_the_axes_of_the_car() -> None:
     velocity[0, 3:] = (0.0, 0.0, 0.4)  # yaws while on its side
     sample = dataclasses.replace(Sample.make(3.0, 0, pose), velocity=velocity)
     for name, kind in (("imu", sensors.Imu), ("odometry", sensors.Odometry)):
-        message = read(kind(0, run.params, CONTEXT, "", 0.0, None), sample)
+        message = read(kind(sensors.Mount(0, run.params, CONTEXT)), sample)
         rates = message.angular_velocity if name == "imu" else message.twist.twist.angular
         assert xyz(rates) == pytest.approx([0.0, 0.4, 0.0], abs=1e-12)
