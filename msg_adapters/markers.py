@@ -61,8 +61,8 @@ FORCE_SHOWN = 1.0e4
 """Smallest force that gets an arrow, N."""
 FILLED = (1.0, 1.0, 1.0)
 """Scale of triangles."""
-WALL_HEIGHT = 2.5
-"""Drawn height of fixed bodies, m (the model is planar)."""
+NAME_HEIGHT = 3.5
+"""Least height of the names of what stands beside the track, m."""
 GAUGE = 1.435
 BED_WIDTH = 4.0
 
@@ -383,7 +383,7 @@ def _site_markers(context: RunContext, time: float, shapes: Sequence[Shape]) -> 
         else:
             ring = np.concatenate([points, points[:1]]) if shape.closed else points
             low, high = (
-                np.column_stack([ring, np.full(len(ring), z)]) for z in (0.1, WALL_HEIGHT)
+                np.column_stack([ring, np.full(len(ring), z)]) for z in (0.1, shape.height)
             )
             kind, size, color, drawn = LINE_STRIP, (0.3, 0.0, 0.0), GREEN, low
             if shape.role == "fixed":
@@ -400,7 +400,7 @@ def _site_markers(context: RunContext, time: float, shapes: Sequence[Shape]) -> 
                 "site_labels",
                 number,
                 TEXT,
-                position=(x, y, WALL_HEIGHT + 1.0),
+                position=(x, y, max(NAME_HEIGHT, shape.height + 1.0)),
                 scale=(0.0, 0.0, 1.5),
                 text=shape.name,
             )

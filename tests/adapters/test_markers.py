@@ -160,7 +160,7 @@ def test_what_stands_beside_the_track_is_drawn_with_its_name() -> None:
         site=dataclasses.replace(
             params.site,
             zones=(GroundZone("bog", ((0, 9), (40, 9), (40, 20)), 1.0, 1.0, 0.01, 0.0),),
-            fixed=(FixedBody("wall", ((-20, -6), (0, -6), (20, -8)), beside=True),),
+            fixed=(FixedBody("wall", ((-20, -6), (0, -6), (20, -8)), beside=True, height=3.2),),
             areas=(Area("road", ((0, 30), (50, 30)), closed=False),),
         ),
     )
@@ -175,7 +175,7 @@ def test_what_stands_beside_the_track_is_drawn_with_its_name() -> None:
     assert ring == [(0, 9), (40, 9), (40, 20), (0, 9)]
     wall = found["fixed", 1]
     assert wall.type == M.TRIANGLE_LIST and len(wall.points) == 6 * 2
-    assert {p.z for p in wall.points} == {0.1, M.WALL_HEIGHT}
+    assert {p.z for p in wall.points} == {0.1, 3.2}
     assert len(found["area", 2].points) == 2
     left, right = (found["second_rails", 6 + k].points for k in (0, 1))
     assert {p.y for p in left} == {4.5 + 0.5 * M.GAUGE}

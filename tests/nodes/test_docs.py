@@ -28,21 +28,16 @@ def test_the_client_of_the_page(tmp_path) -> None:
         made.simulator(scenario="curve_derailment", speed_factor=0.0)
         made.listen("outcome")
         made.until(lambda: any(m.is_final for m in made.heard["outcome"]), "a run before")
-        answer = subprocess.run(
-            [sys.executable, "-c", program],
-            env=made.env,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-        )
+
+        def run(text: str) -> subprocess.CompletedProcess[str]:
+            command = [sys.executable, "-c", text]
+            return subprocess.run(
+                command, env=made.env, capture_output=True, text=True, timeout=LIMIT
+            )
+
+        answer = run(program)
         own = len(made.ask("get_events").events)
-        loaded = subprocess.run(
-            [sys.executable, "-c", other],
-            env=made.env,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-        )
+        loaded = run(other)
     assert loaded.returncode == 0 and loaded.stdout == "1 base_train\n", loaded
     assert answer.returncode == 0, answer.stderr
     said = r"broken at -?[\d.]+ m: \d+ cars derailed\nat rest after [\d.]+ s, (\d+) events heard"
@@ -60,13 +55,14 @@ def test_the_client_of_the_tutorial(tmp_path) -> None:
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     with graph(tmp_path) as made:
         made.simulator(scenario="curve_derailment", start_paused=True, speed_factor=0.0)
-        answer = subprocess.run(
-            [sys.executable, "-c", program],
-            env=made.env,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-        )
+
+        def run(text: str) -> subprocess.CompletedProcess[str]:
+            command = [sys.executable, "-c", text]
+            return subprocess.run(
+                command, env=made.env, capture_output=True, text=True, timeout=LIMIT
+            )
+
+        answer = run(program)
     assert (answer.returncode, answer.stdout) == (0, "at rest\n"), answer.stderr
 
 
