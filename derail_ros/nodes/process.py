@@ -98,12 +98,26 @@ class Stop:
     def during(self, work: Callable[[], Any]) -> Any:
         """Do long work; a signal before or meanwhile raises :class:`Interrupted`."""
         self._raises = True
+        others = sys.unraisablehook
+        sys.unraisablehook = lambda told: self._lost(told, others)
         try:
             if self.asked:
                 raise Interrupted
             return work()
         finally:
             self._raises = False
+            sys.unraisablehook = others
+
+    @staticmethod
+    def _lost(told: Any, others: Callable[[Any], object]) -> None:
+        """Take an exception from where none can go on, as in the callback of a weak reference.
+
+        The interpreter drops such an :class:`Interrupted`; the signal comes again.
+        """
+        if isinstance(told.exc_value, Interrupted):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
+            others(told)
 
 
 class Program(ABC):

@@ -628,6 +628,32 @@ except Interrupted:
     assert (done.stdout, done.stderr) == ("returned\ninterrupted\n", "")
 
 
+def test_a_signal_where_no_exception_can_go_on_comes_again() -> None:
+    """Python prints what is raised in the callback of a weak reference, and drops it."""
+    text = """
+import os, signal, time, weakref
+from derail_ros.nodes.process import Interrupted, Stop
+class Thing:
+    pass
+def callback(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    for _ in range(1000): pass
+    print("not reached")
+def work():
+    thing = Thing()
+    watch = weakref.ref(thing, callback)
+    del thing
+    print("goes on")
+    time.sleep(100.0)
+try:
+    Stop().during(work)
+except Interrupted:
+    print("interrupted")
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("goes on\ninterrupted\n", "")
+
+
 def test_help_needs_no_graph(tmp_path) -> None:
     for node in ("simulator", "recorder"):
         log = tmp_path / f"{node}.log"
