@@ -200,14 +200,12 @@ def tornado(study: Sensitivity) -> Figure:
         else:
             put(figure, left + 0.12, y, constant.label, color=INK)
             put(figure, left + names - 0.12, y, _values(constant, effects), ha="right", size=7.5)
-    cases = ", ".join(c.title for c in study.cases)
     title = "What the reconstructed constants do"
     put(figure, left, 0.27, title, size=14, weight="bold", color=INK)
     put(
         figure, left, 0.53,
         f"Change against the default [in brackets], mean over {len(study.cases)} cases of "
-        f"{study.members} runs each ({cases}); whiskers: two standard errors; ticks: single "
-        "cases",
+        f"{study.members} runs each; whiskers: two standard errors; ticks: single cases",
     )  # fmt: skip
     put(
         figure, width - 0.25, height - 0.1,
