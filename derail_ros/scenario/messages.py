@@ -5,12 +5,14 @@ from __future__ import annotations
 import difflib
 import typing
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.strict_yaml import Path
+
+M = TypeVar("M", bound=BaseModel)
 
 _KINDS = {
     "float_type": "must be a number",
@@ -30,8 +32,21 @@ _LIMITS = {
 }
 
 
-def first_mistake(error: ValidationError, model: type[BaseModel]) -> Refusal:
-    """The mistake to report: a misspelt key explains a missing one, not the reverse."""
+def validated(model: type[M], data: Any) -> M:
+    """Plain data as a model.
+
+    Raises
+    ------
+    Refusal
+        With the first mistake: a misspelt key explains a missing one, not the reverse.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise _first_mistake(error, model) from None
+
+
+def _first_mistake(error: ValidationError, model: type[BaseModel]) -> Refusal:
     errors = error.errors(include_url=False, include_context=True)
     order = {"extra_forbidden": 0, "missing": 2}
     chosen = min(errors, key=lambda e: order.get(e["type"], 1))

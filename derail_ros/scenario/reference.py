@@ -18,7 +18,7 @@ from derail_ros.scenario.messages import model_at
 from derail_ros.scenario.rolling_stock import load_rolling_stock
 from derail_ros.scenario.scenario import list_scenarios, loads_scenario
 from derail_ros.scenario.schema import ScenarioModel, Section
-from derail_ros.scenario.units import UNITS, variants
+from derail_ros.scenario.units import UNITS, unit_of, variants
 
 BEGIN = "<!-- {}: generated, see derail_ros/scenario/reference.py -->"
 END = "<!-- end of {} -->"
@@ -47,6 +47,9 @@ def json_schema() -> dict[str, Any]:
         if "required" in part and part is not schema:
             part["allOf"] = _needs(part.pop("required"))
         names = part.get("properties", {})
+        for name, field in names.items():
+            if unit := unit_of(name):
+                field.setdefault("unit", unit)
         others = {
             other: {"type": "number", "description": f"instead of {name}, in its own unit"}
             for name in list(names)
@@ -178,9 +181,8 @@ def _place(prefix: str, name: str, info: FieldInfo) -> str:
 
 def _row(name: str, info: FieldInfo) -> str:
     extra = info.json_schema_extra
-    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-    unit = "" if unit == "1" else unit
-    cells = (f"`{name}`", unit, _default(info), _range(info), info.description or "")
+    unit = extra.get("unit", unit_of(name)) if isinstance(extra, dict) else ""
+    cells = (f"`{name}`", str(unit), _default(info), _range(info), info.description or "")
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 

@@ -6,11 +6,9 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from derail_ros.scenario.errors import Refusal
 from derail_ros.scenario.files import read_text, rolling_stock_dir
-from derail_ros.scenario.messages import first_mistake
+from derail_ros.scenario.messages import validated
 from derail_ros.scenario.schema import CarType, CarTypeFile, CouplerSpec, CouplerTypeFile
 from derail_ros.scenario.strict_yaml import Path as Place
 from derail_ros.scenario.strict_yaml import parse
@@ -70,23 +68,15 @@ def _load(files: tuple[tuple[str, int], ...]) -> RollingStock:
     for name, _ in files:
         document = parse(read_text(Path(name)), name)
         model = CouplerTypeFile if "coupler_types" in document.data else CarTypeFile
-        try:
+        with document.refusals():
             document.data = canonical(document.data, model, (), document.written)
-            content = model.model_validate(document.data)
-        except Refusal as refusal:
-            raise document.error(refusal.path, refusal.reason) from None
-        except ValidationError as error:
-            mistake = first_mistake(error, model)
-            raise document.error(mistake.path, mistake.reason) from None
-        if isinstance(content, CouplerTypeFile):
-            couplers.update(content.coupler_types)
-        elif isinstance(content, CarTypeFile):
-            for key in content.car_types:
-                if key in cars:
-                    raise document.error(("car_types", key), "is defined in two files")
-                try:
-                    check_car_type(content.car_types[key], ("car_types", key))
-                except Refusal as refusal:
-                    raise document.error(refusal.path, refusal.reason) from None
-            cars.update(content.car_types)
+            content = validated(model, document.data)
+            if isinstance(content, CouplerTypeFile):
+                couplers.update(content.coupler_types)
+            elif isinstance(content, CarTypeFile):
+                for key, kind in content.car_types.items():
+                    if key in cars:
+                        raise Refusal(("car_types", key), "is defined in two files")
+                    check_car_type(kind, ("car_types", key))
+                cars.update(content.car_types)
     return RollingStock(cars, couplers)

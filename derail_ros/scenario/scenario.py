@@ -18,13 +18,11 @@ from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, TypeVar
 
-from pydantic import ValidationError
-
 from derail_ros.scenario import files, uncertain
 from derail_ros.scenario.calibrated import Draw, load_calibrated
 from derail_ros.scenario.constants import FIELDS, chosen, filled, values_of
 from derail_ros.scenario.errors import Refusal, ScenarioError
-from derail_ros.scenario.messages import did_you_mean, first_mistake, model_at, shown
+from derail_ros.scenario.messages import did_you_mean, model_at, shown, validated
 from derail_ros.scenario.plausibility import doubts
 from derail_ros.scenario.resolve import (
     DEFAULT_WIDTH,
@@ -36,7 +34,7 @@ from derail_ros.scenario.resolve import (
     train_params,
 )
 from derail_ros.scenario.rolling_stock import RollingStock, load_rolling_stock
-from derail_ros.scenario.schema import FORMAT_VERSION, TITLE_LENGTH, ScenarioModel
+from derail_ros.scenario.schema import FORMAT_VERSION, TITLE_LENGTH, ScenarioModel, Section
 from derail_ros.scenario.site import add_alignment, add_features
 from derail_ros.scenario.strict_yaml import (
     MAX_DEPTH,
@@ -50,7 +48,6 @@ from derail_ros.scenario.strict_yaml import (
 )
 from derail_ros.scenario.units import canonical, field_of
 from derail_ros.vocabulary.params import PLANAR, CouplerType, TrainParams
-from derail_ros.vocabulary.site import WALL_HEIGHT
 from derail_ros.vocabulary.train import TrainTotals, train_totals
 
 V = TypeVar("V")
@@ -175,10 +172,8 @@ class Scenario:
 
     def drawn_scenario(self, values: Mapping[str, Any]) -> Scenario:
         """A copy in which the uncertain fields have the given values."""
-        try:
+        with self._document.refusals():
             changes = uncertain.overrides(self, dict(values))
-        except Refusal as refusal:
-            raise self._document.error(refusal.path, refusal.reason) from None
         return self.with_overrides({"title": self.title, "uncertain": {}, **changes})
 
     def varied(self, member: int, seed: int = 0) -> Scenario:
@@ -415,10 +410,8 @@ def _load(
     document.files = {f"{name}.yaml": text.encode()}
     _check_version(document)
     overrides, marks = _take_overrides(document)
-    try:
+    with document.refusals():
         document.data = canonical(document.data, ScenarioModel, (), document.written)
-    except Refusal as refusal:
-        raise document.error(refusal.path, refusal.reason) from None
     if "extends" in document.data:
         base = _base(document, folders, seen)
         _merge_below(document, base)
@@ -445,10 +438,8 @@ def _read_site(document: Document, folder: FilePath | None) -> None:
             reason = "only goes with a scenario in a file: give its content here"
             raise document.error(place, reason)
         content = files.read_text(folder / name).encode()
-        try:
+        with document.refusals():
             document.notes += add(document.data, name, content)
-        except Refusal as refusal:
-            raise document.error(refusal.path, refusal.reason) from None
         document.files = {**document.files, name: content}
 
 
@@ -550,20 +541,10 @@ def _without(marks: dict[Path, V], replaced: set[Path]) -> dict[Path, V]:
 
 def _build(name: str, document: Document, stock: RollingStock) -> Scenario:
     """Validate a document."""
-    try:
-        model = ScenarioModel.model_validate(document.data)
-    except ValidationError as error:
-        mistake = first_mistake(error, ScenarioModel)
-        raise document.error(mistake.path, mistake.reason) from None
-    try:
-        resolved = chosen(resolve(model, stock))
-    except Refusal as refusal:
-        raise document.error(refusal.path, refusal.reason) from None
-    scenario = Scenario(name, resolved.model, resolved, document, stock)
-    try:
+    with document.refusals():
+        resolved = chosen(resolve(validated(ScenarioModel, document.data), stock))
+        scenario = Scenario(name, resolved.model, resolved, document, stock)
         uncertain.check(scenario)
-    except Refusal as refusal:
-        raise document.error(refusal.path, refusal.reason) from None
     return scenario
 
 
@@ -736,8 +717,18 @@ def _scale_inertia(
 # --- writing ----------------------------------------------------------------------------------
 
 
-WITH_LATER = ("brakes", "track", "couplers", "derailment", "site")
-"""Sections with fields that came later than the first version of the format."""
+def _without_later(section: Section, data: dict[str, Any]) -> None:
+    """Take out of a section's plain data the fields that came later and have their default."""
+    for name, info in type(section).model_fields.items():
+        value, extra = getattr(section, name), info.json_schema_extra
+        if isinstance(extra, dict) and extra.get("later") and value == info.default:
+            del data[name]
+        elif isinstance(value, Section):
+            _without_later(value, data[name])
+        elif isinstance(value, tuple):
+            for part, plain in zip(value, data[name], strict=True):
+                if isinstance(part, Section):
+                    _without_later(part, plain)
 
 
 def _resolved_data(resolved: Resolved) -> dict[str, Any]:
@@ -747,21 +738,9 @@ def _resolved_data(resolved: Resolved) -> dict[str, Any]:
     data: dict[str, Any] = model.model_dump(mode="json")
     if data["model"] == PLANAR:  # came later too
         del data["model"]
-    later_ones = {key: getattr(model, key) for key in WITH_LATER}
-    for key, section in {"": model, **later_ones}.items():
-        if section is None:
-            continue
-        plain = data[key] if key else data
-        for name, info in type(section).model_fields.items():
-            extra = info.json_schema_extra
-            later = isinstance(extra, dict) and extra.get("later")
-            if later and getattr(section, name) == info.default:
-                del plain[name]
+    _without_later(model, data)
     data["train"]["consist"] = [_block_data(block) for block in resolved.blocks]
     data["train"]["car_types"] = {}
-    for body in (data.get("site") or {}).get("fixed") or ():
-        if body["height_m"] == WALL_HEIGHT:
-            del body["height_m"]  # came later too
     for j, cut in enumerate(resolved.cuts):
         blocks = [_block_data(block) for entry in cut for block in entry]
         data["site"]["standing"][j]["consist"] = blocks

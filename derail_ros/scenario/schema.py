@@ -12,6 +12,7 @@ Model of a Derailment*, PhD thesis, Queen's University, 1998) lost or never gave
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -90,24 +91,37 @@ def engine_default(owner: type[Any], name: str) -> Any:
     return field.default
 
 
-def _field(default: Any, unit: str, text: str, later: bool = False, **limits: Any) -> Any:
-    """A field of the format: default (``...``: required), unit, meaning and limits.
-
-    One that came ``later`` is left out of resolved scenarios at its default: the hashes of older
-    scenarios stay what they were.
-    """
-    extra: dict[str, Any] = {"unit": unit, **({"later": True} if later else {})}
-    return Field(default, description=text, json_schema_extra=extra, **limits)
-
-
-def _engine(
-    owner: type[Any], name: str, unit: str, text: str, later: bool = False, **limits: Any
+def _field(
+    default: Any, text: str, *, unit: str | None = None, later: bool = False, **limits: Any
 ) -> Any:
-    """A field that is passed on as ``owner.name`` of the engine and has its default."""
-    extra: dict[str, Any] = {"unit": unit, "engine": f"{owner.__name__}.{name}"}
+    """A field of the format: default (``...``: required), meaning and limits.
+
+    Its ``unit`` is given where the end of its key does not name it. One that came ``later`` is
+    left out of resolved scenarios at its default: the hashes of older scenarios stay what they
+    were.
+    """
+    extra: dict[str, Any] = {} if unit is None else {"unit": unit}
     extra |= {"later": True} if later else {}
-    default = engine_default(owner, name)
     return Field(default, description=text, json_schema_extra=extra, **limits)
+
+
+def _engine(owner: type[Any], name: str, text: str, **others: Any) -> Any:
+    """A field that is passed on as ``owner.name`` of the engine and has its default."""
+    field = _field(engine_default(owner, name), text, **others)
+    field.json_schema_extra["engine"] = f"{owner.__name__}.{name}"
+    return field
+
+
+_track = partial(_engine, TrackParams)
+_force = partial(_engine, LateralForce)
+_gear = partial(_engine, DraftGearParams)
+_brakes = partial(_engine, BrakeParams)
+_trigger = partial(_engine, BrakeTrigger)
+_traction = partial(_engine, TractionParams)
+_ground = partial(_engine, GroundParams)
+_contact = partial(_engine, ContactParams)
+_derailment = partial(_engine, DerailmentParams)
+_integration = partial(_engine, IntegrationParams)
 
 
 class Section(BaseModel):
@@ -135,47 +149,47 @@ Scalar = bool | int | Annotated[float, Field(allow_inf_nan=False)] | str
 class Normal(Section):
     """Normal, truncated at ``low`` and ``high`` if given."""
 
-    mean: Number = _field(..., "", "mean before truncation")
-    sd: Number = _field(..., "", "standard deviation before truncation", gt=0)
-    low: Number | None = _field(None, "", "least value")
-    high: Number | None = _field(None, "", "largest value")
+    mean: Number = _field(..., "mean before truncation")
+    sd: Number = _field(..., "standard deviation before truncation", gt=0)
+    low: Number | None = _field(None, "least value")
+    high: Number | None = _field(None, "largest value")
 
 
 class Lognormal(Section):
     """Lognormal, truncated likewise."""
 
-    median: Number = _field(..., "", "median before truncation", gt=0)
-    sigma: Number = _field(..., "1", "standard deviation of the logarithm", gt=0)
-    low: Number | None = _field(None, "", "least value")
-    high: Number | None = _field(None, "", "largest value")
+    median: Number = _field(..., "median before truncation", gt=0)
+    sigma: Number = _field(..., "standard deviation of the logarithm", gt=0)
+    low: Number | None = _field(None, "least value")
+    high: Number | None = _field(None, "largest value")
 
 
 class Triangular(Section):
     """Triangular."""
 
-    low: Number = _field(..., "", "least value")
-    mode: Number = _field(..., "", "most likely value")
-    high: Number = _field(..., "", "largest value")
+    low: Number = _field(..., "least value")
+    mode: Number = _field(..., "most likely value")
+    high: Number = _field(..., "largest value")
 
 
 class Distribution(Section):
     """Exactly one shape."""
 
-    normal: Normal | None = _field(None, "", "normal")
-    lognormal: Lognormal | None = _field(None, "", "lognormal")
-    triangular: Triangular | None = _field(None, "", "triangular")
+    normal: Normal | None = _field(None, "normal")
+    lognormal: Lognormal | None = _field(None, "lognormal")
+    triangular: Triangular | None = _field(None, "triangular")
 
 
 class Uncertain(Distribution):
     """The distribution from which each member of an ensemble draws a field: exactly one shape."""
 
     uniform: tuple[Number, ...] | None = _field(
-        None, "", "uniform between two values", min_length=2, max_length=2
+        None, "uniform between two values", min_length=2, max_length=2
     )
     values: tuple[Scalar, ...] | None = _field(
-        None, "", "one of these, with equal probabilities", min_length=1, max_length=1000
+        None, "one of these, with equal probabilities", min_length=1, max_length=1000
     )
-    relative: Switch = _field(False, "", "draw factors on the scenario's own value")
+    relative: Switch = _field(False, "draw factors on the scenario's own value")
 
 
 # --- rolling stock ----------------------------------------------------------------------------
@@ -185,25 +199,23 @@ class CouplerSpec(Section):
     """A coupler type; with the name of a library type only what differs needs to be given."""
 
     head: Literal["E", "F"] | None = _field(
-        None, "", "head; decides the knuckle moment and the angle at which a coupling parts"
+        None, "head; decides the knuckle moment and the angle at which a coupling parts"
     )
     pivot_to_face_m: Number | None = _field(
-        None, "m", "coupler length: pivot to mated face", gt=0, le=5
+        None, "coupler length: pivot to mated face", gt=0, le=5
     )
     pivot_to_striker_m: Number | None = _field(
-        None, "m", "pivot to striker contact, below the coupler length", gt=0, le=5
+        None, "pivot to striker contact, below the coupler length", gt=0, le=5
     )
     striker_opening_m: Number | None = _field(
-        None, "m", "striker displacement at which the stiffness changes", ge=0, le=2
+        None, "striker displacement at which the stiffness changes", ge=0, le=2
     )
-    k1_N_per_m: Number | None = _field(
-        None, "N/m", "striker stiffness up to the opening", gt=0, le=1e10
-    )
+    k1_N_per_m: Number | None = _field(None, "striker stiffness up to the opening", gt=0, le=1e10)
     k2_N_per_m: Number | None = _field(
-        None, "N/m", "striker stiffness beyond the opening; 50e6 unless given [R]", gt=0, le=1e11
+        None, "striker stiffness beyond the opening; 50e6 unless given [R]", gt=0, le=1e11
     )
     damping_N_s_per_m: Number | None = _field(
-        None, "N s/m", "damper beside the striker; 4000 unless given", ge=0, le=1e8
+        None, "damper beside the striker; 4000 unless given", ge=0, le=1e8
     )
 
 
@@ -211,33 +223,27 @@ class BrakeSpec(Section):
     """The brake of one car; what is not given is that of its type, or the default."""
 
     shoe: Shoe | None = _field(
-        None, "", "brake shoe: composition (unless given), cast_iron [R] or none"
+        None, "brake shoe: composition (unless given), cast_iron [R] or none"
     )
     scale: Number | None = _field(
-        None,
-        "1",
-        "size of this car's brake, times brakes.force_scale; 1 unless given",
-        ge=0,
-        le=10,
+        None, "size of this car's brake, times brakes.force_scale; 1 unless given", ge=0, le=10
     )
     delay_s: Number | None = _field(
-        None, "s", "delay after the signal has reached the car; 0 unless given", ge=0, le=600
+        None, "delay after the signal has reached the car; 0 unless given", ge=0, le=600
     )
     net_braking_ratio_loaded: Number | None = _field(
-        None, "1", "of this car, in place of that of brakes", ge=0, le=1
+        None, "of this car, in place of that of brakes", ge=0, le=1
     )
     net_braking_ratio_empty: Number | None = _field(
-        None, "1", "of this car, in place of that of brakes", ge=0, le=1
+        None, "of this car, in place of that of brakes", ge=0, le=1
     )
     empty_load_device: Switch | None = _field(
-        None,
-        "",
-        "the car has a device that lowers the shoe force when it is empty; true unless given",
+        None, "the car has a device that lowers the shoe force when it is empty; true unless given"
     )
     cut_out: Switch | None = _field(
-        None, "", "its air brake is cut out; the signal still passes; false unless given"
+        None, "its air brake is cut out; the signal still passes; false unless given"
     )
-    hand_brake: Switch | None = _field(None, "", "its hand brake is set; false unless given")
+    hand_brake: Switch | None = _field(None, "its hand brake is set; false unless given")
 
 
 CurvePoint = tuple[
@@ -249,159 +255,145 @@ CurvePoint = tuple[
 class CarType(Section):
     """A car or locomotive of the library, or of ``train.car_types``."""
 
-    title: Label = _field("", "", "what it is")
-    note: Text = _field("", "", "source of the numbers")
-    mass_kg: Number | None = _field(
-        None, "kg", "mass; or give empty and loaded mass", gt=0, le=1e6
-    )
-    empty_mass_kg: Number | None = _field(None, "kg", "mass empty", gt=0, le=1e6)
-    loaded_mass_kg: Number | None = _field(None, "kg", "mass fully loaded", gt=0, le=1e6)
+    title: Label = _field("", "what it is")
+    note: Text = _field("", "source of the numbers")
+    mass_kg: Number | None = _field(None, "mass; or give empty and loaded mass", gt=0, le=1e6)
+    empty_mass_kg: Number | None = _field(None, "mass empty", gt=0, le=1e6)
+    loaded_mass_kg: Number | None = _field(None, "mass fully loaded", gt=0, le=1e6)
     inertia_kg_m2: Number | None = _field(
         None,
-        "kg m2",
         "yaw inertia at mass_kg (the loaded mass); that of a solid cylinder unless given",
         gt=0,
         le=1e10,
     )
     length_m: Number | None = _field(
-        None,
-        "m",
-        "length of the body; required unless length_over_couplers_m is given",
-        gt=0,
-        le=100,
+        None, "length of the body; required unless length_over_couplers_m is given", gt=0, le=100
     )
     length_over_couplers_m: Number | None = _field(
-        None, "m", "from pulling face to pulling face", gt=0, le=200
+        None, "from pulling face to pulling face", gt=0, le=200
     )
-    width_m: Number = _field(2.6, "m", "width of the body in collisions", gt=0, le=10)
+    width_m: Number = _field(2.6, "width of the body in collisions", gt=0, le=10)
     coupler_pivots_m: Number | None = _field(
-        None, "m", "between the coupler pivots; from length and coupler unless given", gt=0, le=100
+        None, "between the coupler pivots; from length and coupler unless given", gt=0, le=100
     )
     truck_centres_m: Number | None = _field(
-        None, "m", "between the truck pivots; required unless platforms are given", gt=0, le=100
+        None, "between the truck pivots; required unless platforms are given", gt=0, le=100
     )
     coupler: TypeName | None = _field(
-        None, "", "coupler type at both ends; required unless platforms are given"
+        None, "coupler type at both ends; required unless platforms are given"
     )
     platforms: tuple[TypeName, ...] = _field(
         (),
-        "",
         "an articulated car: the types of its platforms from front to rear, each a body of its "
         "own, joined by couplers of the type ARTICULATED",
         max_length=10,
     )
-    locomotive: Switch = _field(False, "", "it is a locomotive")
+    locomotive: Switch = _field(False, "it is a locomotive")
     aar_codes: tuple[Label, ...] = _field(
-        (), "", "beginnings of the AAR car type codes that consist lists give such a car"
+        (), "beginnings of the AAR car type codes that consist lists give such a car"
     )
-    aliases: tuple[Label, ...] = _field((), "", "other names of it in consist lists")
-    brake: BrakeSpec = _field(BrakeSpec(), "", "its brake")
+    aliases: tuple[Label, ...] = _field((), "other names of it in consist lists")
+    brake: BrakeSpec = _field(BrakeSpec(), "its brake")
     overall_width_m: Number | None = _field(
-        None, "m", "width over all, for the record: the model uses width_m", gt=0, le=10
+        None, "width over all, for the record: the model uses width_m", gt=0, le=10
     )
-    axles: Integer | None = _field(None, "1", "number of axles, for the record", ge=2, le=24)
+    axles: Integer | None = _field(None, "number of axles, for the record", ge=2, le=24)
     power_kW: Number | None = _field(
         None,
-        "kW",
         "power; of a locomotive without tractive_effort_kmh_kN the effort follows from it",
         ge=0,
         le=20000,
     )
     tractive_effort_kmh_kN: tuple[CurvePoint, ...] = _field(
-        (), "km/h, kN", "largest tractive effort over speed, straight between the points"
+        (), "largest tractive effort over speed, straight between the points"
     )
     dynamic_brake_kmh_kN: tuple[CurvePoint, ...] = _field(
-        (), "km/h, kN", "largest effort of the dynamic brake over speed"
+        (), "largest effort of the dynamic brake over speed"
     )
 
 
 class CarTypeFile(Section):
     """A file of car types in ``config/rolling_stock``."""
 
-    version: Literal[1] = _field(..., "", "version of the format")
-    source: Text = _field("", "", "source of the numbers")
-    car_types: dict[TypeName, CarType] = _field(..., "", "types by name")
+    version: Literal[1] = _field(..., "version of the format")
+    source: Text = _field("", "source of the numbers")
+    car_types: dict[TypeName, CarType] = _field(..., "types by name")
 
 
 class CouplerTypeFile(Section):
     """A file of coupler types in ``config/rolling_stock``."""
 
-    version: Literal[1] = _field(..., "", "version of the format")
-    source: Text = _field("", "", "source of the numbers")
-    coupler_types: dict[TypeName, CouplerSpec] = _field(..., "", "types by name")
+    version: Literal[1] = _field(..., "version of the format")
+    source: Text = _field("", "source of the numbers")
+    coupler_types: dict[TypeName, CouplerSpec] = _field(..., "types by name")
 
 
 class ConsistBlock(Section):
     """One car, or ``count`` cars alike, of a named type or given by its numbers."""
 
     car: TypeName | None = _field(
-        None, "", "car type; what else is given here replaces the type's values"
+        None, "car type; what else is given here replaces the type's values"
     )
-    count: Integer = _field(1, "1", "number of such cars, one behind the other", ge=1, le=MAX_CARS)
-    name: Label | None = _field(None, "", "label; the type's title unless given")
-    contents: Label | None = _field(None, "", "what the cars carry")
+    count: Integer = _field(1, "number of such cars, one behind the other", ge=1, le=MAX_CARS)
+    name: Label | None = _field(None, "label; the type's title unless given")
+    contents: Label | None = _field(None, "what the cars carry")
     load: Load | None = _field(
         None,
-        "1",
         "empty, loaded (unless given) or a fraction from 0 to 1, for types with an empty and a "
         "loaded mass",
     )
     mass_kg: Number | None = _field(
         None,
-        "kg",
         "mass of one car; changing it by an override scales the yaw inertia in proportion",
         gt=0,
         le=1e6,
     )
     inertia_kg_m2: Number | None = _field(
         None,
-        "kg m2",
         "yaw inertia, coupler masses included. Unless given: the type's in proportion to the "
         "mass, or m (L^2/12 + r^2/4) with r = 1.5 m [R]",
         gt=0,
         le=1e10,
     )
     empty_mass_kg: Number | None = _field(
-        None, "kg", "mass of one car empty, its light weight", gt=0, le=1e6
+        None, "mass of one car empty, its light weight", gt=0, le=1e6
     )
     loaded_mass_kg: Number | None = _field(
-        None, "kg", "mass of one car loaded, its gross weight", gt=0, le=1e6
+        None, "mass of one car loaded, its gross weight", gt=0, le=1e6
     )
-    length_m: Number | None = _field(None, "m", "length of the body", gt=0, le=100)
+    length_m: Number | None = _field(None, "length of the body", gt=0, le=100)
     length_over_couplers_m: Number | None = _field(
         None,
-        "m",
         "from pulling face to pulling face; the coupler pivots follow from it, and the body "
         "unless length_m is given too",
         gt=0,
         le=200,
     )
     width_m: Number | None = _field(
-        None, "m", "width of the body in collisions; 2.6 unless given", gt=0, le=10
+        None, "width of the body in collisions; 2.6 unless given", gt=0, le=10
     )
     coupler_pivots_m: Number | None = _field(
         None,
-        "m",
         "between the coupler pivots. Unless given by the type: length - 0.34, or length - 1.16 "
         "with couplers as long as the F73 [R]",
         gt=0,
         le=100,
     )
-    truck_centres_m: Number | None = _field(None, "m", "between the truck pivots", gt=0, le=100)
-    coupler: TypeName | None = _field(None, "", "coupler type at both ends")
-    front_coupler: TypeName | None = _field(None, "", "coupler type in front, if different")
-    rear_coupler: TypeName | None = _field(None, "", "coupler type behind, if different")
+    truck_centres_m: Number | None = _field(None, "between the truck pivots", gt=0, le=100)
+    coupler: TypeName | None = _field(None, "coupler type at both ends")
+    front_coupler: TypeName | None = _field(None, "coupler type in front, if different")
+    rear_coupler: TypeName | None = _field(None, "coupler type behind, if different")
     coupler_inertia_kg_m2: Number | None = _field(
-        None, "kg m2", "inertia of each coupler; couplers.inertia_kg_m2 unless given", gt=0, le=1e7
+        None, "inertia of each coupler; couplers.inertia_kg_m2 unless given", gt=0, le=1e7
     )
-    brake: BrakeSpec = _field(BrakeSpec(), "", "brake of each of these cars")
-    locomotive: Switch | None = _field(None, "", "whether it is a locomotive; its type says")
-    axles: Integer | None = _field(None, "1", "axles, for the resistance", ge=2, le=24)
+    brake: BrakeSpec = _field(BrakeSpec(), "brake of each of these cars")
+    locomotive: Switch | None = _field(None, "whether it is a locomotive; its type says")
+    axles: Integer | None = _field(None, "axles, for the resistance", ge=2, le=24)
     tractive_effort_kmh_kN: tuple[CurvePoint, ...] | None = _field(
-        None, "km/h, kN", "largest tractive effort over speed; its type's unless given"
+        None, "largest tractive effort over speed; its type's unless given"
     )
     dynamic_brake_kmh_kN: tuple[CurvePoint, ...] | None = _field(
-        None, "km/h, kN", "largest effort of the dynamic brake; its type's unless given"
+        None, "largest effort of the dynamic brake; its type's unless given"
     )
 
 
@@ -411,63 +403,48 @@ class ConsistBlock(Section):
 class Train(Section):
     """The train and its speed."""
 
-    speed_kmh: Number = _field(..., "km/h", "speed at the start", gt=0, le=500)
+    speed_kmh: Number = _field(..., "speed at the start", gt=0, le=500)
     consist: tuple[ConsistBlock, ...] = _field(
         ...,
-        "",
         "the cars from the first one back, as blocks; `train.consist.0` is the first block",
         min_length=1,
         max_length=MAX_CARS,
     )
     virtual_from: Integer | None = _field(
         None,
-        "1",
         "cars from this number on become one virtual body with their mass and brakes, which "
         "never derails and never collides; null models all cars",
         ge=2,
         le=MAX_CARS,
     )
     car_types: dict[TypeName, CarType] = _field(
-        {}, "", "car types of this scenario, beside those of the library"
+        {}, "car types of this scenario, beside those of the library"
     )
 
 
 class DraftGear(Section):
     """Draft gear along every coupling: both gears of it together."""
 
-    slack_m: Number = _engine(DraftGearParams, "slack", "m", "free slack", ge=0, le=1)
-    preload_N: Number = _engine(DraftGearParams, "preload", "N", "preload", ge=0, le=1e7)
-    stiffness_N_per_m: Number = _engine(
-        DraftGearParams, "stiffness", "N/m", "stiffness of loading", gt=0, le=1e10
+    slack_m: Number = _gear("slack", "free slack", ge=0, le=1)
+    preload_N: Number = _gear("preload", "preload", ge=0, le=1e7)
+    stiffness_N_per_m: Number = _gear("stiffness", "stiffness of loading", gt=0, le=1e10)
+    unloading: Number = _gear(
+        "unloading", "force on unloading over that on loading; 1: no friction", ge=0, le=1
     )
-    unloading: Number = _engine(
-        DraftGearParams,
-        "unloading",
-        "1",
-        "force on unloading over that on loading; 1: no friction",
-        ge=0,
-        le=1,
-    )
-    transition_m: Number = _engine(
-        DraftGearParams, "transition", "m", "travel from one to the other", gt=0, le=1
-    )
-    travel_m: Number = _engine(
-        DraftGearParams, "travel", "m", "travel at which the gears are solid", ge=0, le=10
-    )
-    solid_N_per_m: Number = _engine(
-        DraftGearParams, "solid", "N/m", "stiffness that is added beyond", ge=0, le=1e11
-    )
+    transition_m: Number = _gear("transition", "travel from one to the other", gt=0, le=1)
+    travel_m: Number = _gear("travel", "travel at which the gears are solid", ge=0, le=10)
+    solid_N_per_m: Number = _gear("solid", "stiffness that is added beyond", ge=0, le=1e11)
     start: Literal["stretched", "middle", "bunched"] = _field(
-        "stretched", "", "position of the couplings in their slack at the start"
+        "stretched", "position of the couplings in their slack at the start"
     )
 
 
 class WeakCouplingSpec(Section):
     """A coupling with a strength of its own."""
 
-    coupling: CarNumber = _field(..., "1", "its number: i joins cars i and i + 1")
-    strength_N: Number = _field(..., "N", "tension at which it breaks", gt=0, le=1e9)
-    part: Literal["knuckle", "body"] = _field("knuckle", "", "what breaks")
+    coupling: CarNumber = _field(..., "its number: i joins cars i and i + 1")
+    strength_N: Number = _field(..., "tension at which it breaks", gt=0, le=1e9)
+    part: Literal["knuckle", "body"] = _field("knuckle", "what breaks")
 
 
 class Couplers(Section):
@@ -475,28 +452,25 @@ class Couplers(Section):
 
     k2_N_per_m: Number | None = _field(
         None,
-        "N/m",
         "striker stiffness beyond the opening for all types; null: each type's own [R]",
         gt=0,
         le=1e11,
     )
     damping_N_s_per_m: Number | None = _field(
-        None, "N s/m", "striker damper for all types; null: each type's own", ge=0, le=1e8
+        None, "striker damper for all types; null: each type's own", ge=0, le=1e8
     )
     inertia_kg_m2: Number = _engine(
         Car,
         "coupler_inertia",
-        "kg m2",
         "inertia of each coupler; ten times a real one, as in the published runs",
         gt=0,
         le=1e7,
     )
     draft_gear: DraftGear | None = _field(
-        None, "", "slack and draft gear along the train; null: rigid along the train", later=True
+        None, "slack and draft gear along the train; null: rigid along the train", later=True
     )
     knuckle_strength_N: Number | None = _field(
         None,
-        "N",
         "tension at which knuckles break; AAR M-211: 2.89e6 in the static test; null: never",
         later=True,
         gt=0,
@@ -504,45 +478,44 @@ class Couplers(Section):
     )
     body_strength_N: Number | None = _field(
         None,
-        "N",
         "tension at which coupler bodies break; AAR M-211: 4.0e6 ultimate; null: never",
         later=True,
         gt=0,
         le=1e9,
     )
     weak: tuple[WeakCouplingSpec, ...] = _field(
-        (), "", "couplings that break earlier", max_length=MAX_CARS, later=True
+        (), "couplings that break earlier", max_length=MAX_CARS, later=True
     )
     types: dict[TypeName, CouplerSpec] = _field(
-        {}, "", "new coupler types, or changes to those of the library"
+        {}, "new coupler types, or changes to those of the library"
     )
 
 
 class Tangent(Section):
     """A straight piece of track."""
 
-    length_m: Number = _field(..., "m", "length", gt=0, le=1e6)
+    length_m: Number = _field(..., "length", gt=0, le=1e6)
 
 
 class Curve(Section):
     """A circular piece of track."""
 
-    length_m: Number = _field(..., "m", "length along the track", gt=0, le=1e6)
-    radius_m: Number = _field(..., "m", "radius", ge=10, le=1e6)
-    turn: Turn = _field(..., "", "left or right")
+    length_m: Number = _field(..., "length along the track", gt=0, le=1e6)
+    radius_m: Number = _field(..., "radius", ge=10, le=1e6)
+    turn: Turn = _field(..., "left or right")
 
 
 class Spiral(Section):
     """A clothoid: the curvature changes in proportion to the length."""
 
-    length_m: Number = _field(..., "m", "length along the track", gt=0, le=1e6)
+    length_m: Number = _field(..., "length along the track", gt=0, le=1e6)
     radius_start_m: Number | None = _field(
-        None, "m", "radius where it begins; null: straight", ge=10, le=1e6
+        None, "radius where it begins; null: straight", ge=10, le=1e6
     )
     radius_end_m: Number | None = _field(
-        None, "m", "radius where it ends; null: straight", ge=10, le=1e6
+        None, "radius where it ends; null: straight", ge=10, le=1e6
     )
-    turn: Turn = _field(..., "", "left or right")
+    turn: Turn = _field(..., "left or right")
 
 
 class GradeSpec(Section):
@@ -550,24 +523,23 @@ class GradeSpec(Section):
 
     from_m: Number | None = _field(
         None,
-        "m",
         "track coordinate from which it holds, the middle of the vertical curve; null, for the "
         "first one only: from the beginning",
     )
     grade_percent: Number = _field(
-        ..., "%", "rise over run, positive uphill in the direction of travel", ge=-15, le=15
+        ..., "rise over run, positive uphill in the direction of travel", ge=-15, le=15
     )
     vertical_curve_m: Number = _field(
-        30.0, "m", "length over which the grade changes evenly", gt=0, le=1e4
+        30.0, "length over which the grade changes evenly", gt=0, le=1e4
     )
 
 
 class Piece(Section):
     """A piece of the alignment: exactly one of the three."""
 
-    tangent: Tangent | None = _field(None, "", "straight")
-    spiral: Spiral | None = _field(None, "", "transition")
-    curve: Curve | None = _field(None, "", "circular curve")
+    tangent: Tangent | None = _field(None, "straight")
+    spiral: Spiral | None = _field(None, "transition")
+    curve: Curve | None = _field(None, "circular curve")
 
 
 class TrackSection(Section):
@@ -575,52 +547,46 @@ class TrackSection(Section):
 
     alignment: tuple[Piece, ...] = _field(
         (),
-        "",
         "pieces in the direction of travel; none: an endless straight along +X with track "
         "coordinate X",
         max_length=1000,
     )
-    start_coordinate_m: Number = _engine(
-        TrackParams, "start_coordinate", "m", "track coordinate where the alignment begins"
+    start_coordinate_m: Number = _track(
+        "start_coordinate", "track coordinate where the alignment begins"
     )
-    start_x_m: Number = _engine(TrackParams, "start_x", "m", "x where the alignment begins")
-    start_y_m: Number = _engine(TrackParams, "start_y", "m", "y where the alignment begins")
-    start_heading_rad: Number = _engine(
-        TrackParams, "start_heading", "rad", "direction in which it begins, CCW from +X"
+    start_x_m: Number = _track("start_x", "x where the alignment begins")
+    start_y_m: Number = _track("start_y", "y where the alignment begins")
+    start_heading_rad: Number = _track(
+        "start_heading", "direction in which it begins, CCW from +X"
     )
     file: FileName | None = _field(
         None,
-        "",
         "file beside the scenario that alignment and grades are fitted to when it is read: a "
         "GeoJSON LineString, by the datum of `site` and heights as third numbers, or a CSV table "
         "of chainage_m, curvature_per_m and height_m",
         later=True,
     )
     file_tolerance_m: Number = _field(
-        0.01, "m", "standard deviation granted to its points", gt=0, le=100, later=True
+        0.01, "standard deviation granted to its points", gt=0, le=100, later=True
     )
     grades: tuple[GradeSpec, ...] = _field(
         (),
-        "",
         "changes of the grade in order of travel; level before the first",
         max_length=1000,
         later=True,
     )
-    curve_resistance_m2_per_s2: Number = _engine(
-        TrackParams,
+    curve_resistance_m2_per_s2: Number = _track(
         "curve_resistance",
-        "m2/s2",
         "resistance in curves, times radius over mass; 7 is 0.8 lb a ton and degree",
         later=True,
         ge=0,
         le=100,
     )
     rail_breaks: tuple[Number, ...] = _field(
-        (), "m", "track coordinates of the breaks present at the start", max_length=100
+        (), "track coordinates of the breaks present at the start", max_length=100, unit="m"
     )
     rail_breaks_under_cars: tuple[CarNumber, ...] = _field(
         (),
-        "1",
         "numbers of cars under which a rail breaks at the start: "
         "derailment.break_ahead_of_truck_m ahead of their front truck",
         max_length=100,
@@ -630,72 +596,62 @@ class TrackSection(Section):
 class DerailedTruck(Section):
     """A truck that is derailed from the start."""
 
-    car: CarNumber = _field(..., "1", "car number, 1 leads")
-    truck: Literal["front", "rear", "both"] = _field(..., "", "front, rear or both")
+    car: CarNumber = _field(..., "car number, 1 leads")
+    truck: Literal["front", "rear", "both"] = _field(..., "front, rear or both")
 
 
 class LateralForceSpec(Section):
     """A force that starts the motion."""
 
-    force_N: Number = _field(..., "N", "size, positive to the left", ge=-1e8, le=1e8)
-    car: CarNumber = _engine(LateralForce, "car", "1", "car number")
-    place: Literal["front", "rear", "centre"] = _engine(
-        LateralForce, "place", "", "front truck, rear truck or centre of the car"
+    force_N: Number = _field(..., "size, positive to the left", ge=-1e8, le=1e8)
+    car: CarNumber = _force("car", "car number")
+    place: Literal["front", "rear", "centre"] = _force(
+        "place", "front truck, rear truck or centre of the car"
     )
-    start_s: Number = _engine(LateralForce, "start", "s", "when it begins", ge=0, le=1e4)
-    duration_s: Number = _engine(LateralForce, "duration", "s", "how long it acts", gt=0, le=1e4)
+    start_s: Number = _force("start", "when it begins", ge=0, le=1e4)
+    duration_s: Number = _force("duration", "how long it acts", gt=0, le=1e4)
 
 
 class Initiation(Section):
     """How the derailment starts."""
 
     position_m: Number = _engine(
-        InitiationParams, "position", "m", "track coordinate of the mass centre of car 1"
+        InitiationParams, "position", "track coordinate of the mass centre of car 1"
     )
     derailed_trucks: tuple[DerailedTruck, ...] = _field(
-        (), "", "trucks derailed from the start", max_length=2 * MAX_CARS
+        (), "trucks derailed from the start", max_length=2 * MAX_CARS
     )
     parted_couplings: tuple[CarNumber, ...] = _field(
         (),
-        "1",
         "couplings parted from the start: i is the one between cars i and i + 1",
         max_length=MAX_CARS,
     )
-    lateral_force_N: Number = _engine(
-        LateralForce,
-        "force",
-        "N",
-        "force that starts the motion, positive to the left [R]; 0: none",
-        ge=-1e8,
-        le=1e8,
+    lateral_force_N: Number = _force(
+        "force", "force that starts the motion, positive to the left [R]; 0: none", ge=-1e8, le=1e8
     )
-    lateral_force_car: CarNumber = _engine(LateralForce, "car", "1", "car on which it acts")
-    lateral_force_place: Literal["front", "rear", "centre"] = _engine(
-        LateralForce, "place", "", "where on the car: front truck, rear truck or centre"
+    lateral_force_car: CarNumber = _force("car", "car on which it acts")
+    lateral_force_place: Literal["front", "rear", "centre"] = _force(
+        "place", "where on the car: front truck, rear truck or centre"
     )
-    lateral_force_start_s: Number = _engine(
-        LateralForce, "start", "s", "when it begins", ge=0, le=1e4
-    )
-    lateral_force_duration_s: Number = _engine(
-        LateralForce, "duration", "s", "how long it acts", gt=0, le=1e4
-    )
-    lateral_forces: tuple[LateralForceSpec, ...] = _field((), "", "further forces", max_length=100)
+    lateral_force_start_s: Number = _force("start", "when it begins", ge=0, le=1e4)
+    lateral_force_duration_s: Number = _force("duration", "how long it acts", gt=0, le=1e4)
+    lateral_forces: tuple[LateralForceSpec, ...] = _field((), "further forces", max_length=100)
     await_command: Switch = _field(
-        False, "", "accept a train that nothing derails: a rail break is to be injected later"
+        False, "accept a train that nothing derails: a rail break is to be injected later"
     )
 
 
 class BrakeTriggerSpec(Section):
     """A further emergency application."""
 
-    time_s: Number = _engine(BrakeTrigger, "time", "s", "when it is made", ge=0, le=1e4)
-    source: Literal["front", "rear", "both_ends", "car"] = _engine(
-        BrakeTrigger, "source", "", "where the signal starts"
+    time_s: Number = _trigger("time", "when it is made", ge=0, le=1e4)
+    source: Literal["front", "rear", "both_ends", "car"] = _trigger(
+        "source", "where the signal starts"
     )
-    car: CarNumber | None = _field(None, "1", "car number, for source car")
-    instant: Switch = _field(False, "", "no propagation, no rise")
-    traction_limited: Switch = _field(False, "", "force mu_t m g instead of the brake law")
-    delay_s: Number = _engine(BrakeTrigger, "delay", "s", "overall delay", ge=0, le=1e4)
+    car: CarNumber | None = _field(None, "car number, for source car")
+    instant: Switch = _field(False, "no propagation, no rise")
+    traction_limited: Switch = _field(False, "force mu_t m g instead of the brake law")
+    delay_s: Number = _trigger("delay", "overall delay", ge=0, le=1e4)
 
 
 class Brakes(Section):
@@ -703,26 +659,20 @@ class Brakes(Section):
 
     law: Literal["published", "braking_ratio"] = _field(
         "published",
-        "",
         "force of a car: force_N for each (published), or from its net braking ratio, "
         "mass and load (braking_ratio)",
         later=True,
     )
-    system: Literal["conventional", "two_way_eot", "distributed_power", "ecp"] = _engine(
-        BrakeParams,
+    system: Literal["conventional", "two_way_eot", "distributed_power", "ecp"] = _brakes(
         "system",
-        "",
         "how an emergency spreads: along the pipe from its source (conventional), from the rear "
         "end too by the radio of a two-way end-of-train device, from locomotives within and "
         "behind the train too, or to all cars at once",
         later=True,
     )
-    radio_delay_s: Number = _engine(
-        BrakeParams, "radio_delay", "s", "delay of the radio", later=True, ge=0, le=100
-    )
+    radio_delay_s: Number = _brakes("radio_delay", "delay of the radio", later=True, ge=0, le=100)
     remote_locomotives: tuple[CarNumber, ...] = _field(
         (),
-        "1",
         "cars whose brake pipe the radio of distributed_power opens; none given: the first "
         "locomotive of each group behind the head",
         max_length=20,
@@ -730,312 +680,223 @@ class Brakes(Section):
     )
     net_braking_ratio_loaded: Number = _field(
         0.11,
-        "1",
         "shoe force of full service over weight, loaded; 0.085 to 0.14",
         ge=0,
         le=1,
         later=True,
     )
     net_braking_ratio_empty: Number = _field(
-        0.25, "1", "the same of an empty car, 0.15 to 0.38", ge=0, le=1, later=True
+        0.25, "the same of an empty car, 0.15 to 0.38", ge=0, le=1, later=True
     )
     emergency_factor: Number = _field(
-        1.2, "1", "shoe force in emergency over that of full service", ge=1, le=3, later=True
+        1.2, "shoe force in emergency over that of full service", ge=1, le=3, later=True
     )
     hand_brake_ratio: Number = _field(
-        0.1, "1", "shoe force of a hand brake over the loaded weight", ge=0, le=1, later=True
+        0.1, "shoe force of a hand brake over the loaded weight", ge=0, le=1, later=True
     )
     ecp_ratio_factor: Number = _field(
-        1.22, "1", "shoe force of an ECP brake over that of others", ge=0.1, le=3, later=True
+        1.22, "shoe force of an ECP brake over that of others", ge=0.1, le=3, later=True
     )
     ecp_rise_time_s: Number = _field(
-        12.0, "s", "from zero to full force of an ECP brake", ge=0, le=1000, later=True
+        12.0, "from zero to full force of an ECP brake", ge=0, le=1000, later=True
     )
-    force_N: Number = _engine(
-        BrakeParams, "force", "N", "full force F0 of a car near rest [R]", ge=0, le=1e7
-    )
+    force_N: Number = _brakes("force", "full force F0 of a car near rest [R]", ge=0, le=1e7)
     force_scale: Number = _engine(
-        BrakeUnit, "scale", "1", "factor K_b on the brake of every car", ge=0, le=10
+        BrakeUnit, "scale", "factor K_b on the brake of every car", ge=0, le=10
     )
-    rise_time_s: Number = _engine(
-        BrakeParams, "rise_time", "s", "from zero to full force", ge=0, le=1000
+    rise_time_s: Number = _brakes("rise_time", "from zero to full force", ge=0, le=1000)
+    signal_speed_m_per_s: Number = _brakes(
+        "signal_speed", "speed of the emergency signal", gt=0, le=1e6
     )
-    signal_speed_m_per_s: Number = _engine(
-        BrakeParams, "signal_speed", "m/s", "speed of the emergency signal", gt=0, le=1e6
+    traction_coefficient: Number = _brakes(
+        "traction_coefficient", "mu_t of the traction limited mode", ge=0, le=2
     )
-    traction_coefficient: Number = _engine(
-        BrakeParams, "traction_coefficient", "1", "mu_t of the traction limited mode", ge=0, le=2
+    vent_on_parting: Switch = _brakes(
+        "vent_on_parting", "a parted coupling starts the emergency from there, both ways"
     )
-    vent_on_parting: Switch = _engine(
-        BrakeParams,
-        "vent_on_parting",
-        "",
-        "a parted coupling starts the emergency from there, both ways",
-    )
-    signal_source: Literal["front", "rear", "both_ends", "car", "none"] = _engine(
-        BrakeTrigger,
+    signal_source: Literal["front", "rear", "both_ends", "car", "none"] = _trigger(
         "source",
-        "",
         "where the signal of the application at the start comes from; none: no such application",
     )
-    signal_car: CarNumber | None = _field(None, "1", "car number, for signal_source car")
-    delay_s: Number = _engine(
-        BrakeTrigger, "delay", "s", "overall delay of the application at the start", ge=0, le=1e4
+    signal_car: CarNumber | None = _field(None, "car number, for signal_source car")
+    delay_s: Number = _trigger(
+        "delay", "overall delay of the application at the start", ge=0, le=1e4
     )
-    instant: Switch = _field(False, "", "application at the start: no propagation, no rise")
+    instant: Switch = _field(False, "application at the start: no propagation, no rise")
     traction_limited: Switch = _field(
-        False, "", "application at the start: force mu_t m g instead of the brake law"
+        False, "application at the start: force mu_t m g instead of the brake law"
     )
     triggers: tuple[BrakeTriggerSpec, ...] = _field(
-        (), "", "further emergency applications", max_length=100
+        (), "further emergency applications", max_length=100
     )
 
 
 class NotchSpec(Section):
     """A setting of locomotives."""
 
-    time_s: Number = _field(..., "s", "when it is made", ge=0, le=1e5)
-    notch: Notches = _field(..., "1", "8 to 1 power, 0 idle, -1 to -8 dynamic brake")
+    time_s: Number = _field(..., "when it is made", ge=0, le=1e5)
+    notch: Notches = _field(..., "8 to 1 power, 0 idle, -1 to -8 dynamic brake")
     cars: tuple[CarNumber, ...] = _field(
-        (), "1", "car numbers of the locomotives; none: all of them", max_length=100
+        (), "car numbers of the locomotives; none: all of them", max_length=100
     )
 
 
 class Traction(Section):
     """How the locomotives of the train pull and brake."""
 
-    notch: Notches = _field(0, "1", "at the start: 8 to 1 power, 0 idle, -1 to -8 dynamic brake")
+    notch: Notches = _field(0, "at the start: 8 to 1 power, 0 idle, -1 to -8 dynamic brake")
     schedule: tuple[NotchSpec, ...] = _field(
-        (), "", "later settings in order of their time", max_length=1000
+        (), "later settings in order of their time", max_length=1000
     )
-    response_time_s: Number = _engine(
-        TractionParams, "response_time", "s", "from none to the full effort", gt=0, le=600
+    response_time_s: Number = _traction(
+        "response_time", "from none to the full effort", gt=0, le=600
     )
-    cut_time_s: Number = _engine(
-        TractionParams,
-        "cut_time",
-        "s",
-        "from the arrival of an emergency at a locomotive to no effort",
-        gt=0,
-        le=600,
+    cut_time_s: Number = _traction(
+        "cut_time", "from the arrival of an emergency at a locomotive to no effort", gt=0, le=600
     )
-    keep_dynamic: Switch = _engine(
-        TractionParams, "keep_dynamic", "", "an emergency leaves the dynamic brake on"
-    )
+    keep_dynamic: Switch = _traction("keep_dynamic", "an emergency leaves the dynamic brake on")
 
 
 class Resistance(Section):
     """Rolling and air resistance of cars on the rails."""
 
     law: Literal["none", "fcalc"] = _field(
-        "none", "", "none, or fcalc: 8.108e-3 m + 80.625 n + 1.8133e-4 m v + 0.1198 A v^2 (N)"
+        "none", "none, or fcalc: 8.108e-3 m + 80.625 n + 1.8133e-4 m v + 0.1198 A v^2 (N)"
     )
-    axles: Integer = _field(4, "1", "axles n of cars whose type does not say", ge=2, le=24)
-    area_m2: Number = _field(10.0, "m2", "frontal area A", ge=0, le=100)
+    axles: Integer = _field(4, "axles n of cars whose type does not say", ge=2, le=24)
+    area_m2: Number = _field(10.0, "frontal area A", ge=0, le=100)
 
 
 class Ground(Section):
     """Ground reaction ``K(v) = c_d + (c_s - c_d) exp(-v/eps) + c_v v`` times the weight."""
 
-    c_s: Number = _engine(GroundParams, "c_s", "1", "static coefficient", ge=0, le=100)
-    c_d: Number = _engine(GroundParams, "c_d", "1", "dynamic coefficient", ge=0, le=100)
-    eps_m_per_s: Number = _engine(
-        GroundParams, "eps", "m/s", "speed that smooths the change at rest", gt=0, le=10
-    )
-    c_v_s_per_m: Number = _engine(
-        GroundParams, "c_v", "s/m", "growth with speed [R]", ge=0, le=100
-    )
-    scale: Number = _engine(
-        GroundParams, "scale", "1", "factor on the whole reaction", ge=0, le=100
-    )
+    c_s: Number = _ground("c_s", "static coefficient", ge=0, le=100, unit="")
+    c_d: Number = _ground("c_d", "dynamic coefficient", ge=0, le=100)
+    eps_m_per_s: Number = _ground("eps", "speed that smooths the change at rest", gt=0, le=10)
+    c_v_s_per_m: Number = _ground("c_v", "growth with speed [R]", ge=0, le=100)
+    scale: Number = _ground("scale", "factor on the whole reaction", ge=0, le=100)
 
 
 class Contact(Section):
     """Collisions between cars."""
 
-    force_max_N: Number = _engine(
-        ContactParams, "force_max", "N", "force at contact, F_max", gt=0, le=1e9
+    force_max_N: Number = _contact("force_max", "force at contact, F_max", gt=0, le=1e9)
+    half_distance_m: Number = _contact(
+        "half_distance", "gap at which it is half, d_c", gt=0, le=10
     )
-    half_distance_m: Number = _engine(
-        ContactParams, "half_distance", "m", "gap at which it is half, d_c", gt=0, le=10
+    buffer_m: Number = _contact("buffer", "gap from which there is none, d_b", gt=0, le=10)
+    c1_s2_per_m2: Number = _contact("c1", "speed factor: of v|v|", ge=0, le=100)
+    c2_s_per_m: Number = _contact("c2", "speed factor: of v", ge=0, le=100)
+    c3: Number = _contact("c3", "speed factor: constant", ge=0, le=100)
+    gap_law: Literal["gaussian", "lorentzian", "sech2", "quartic"] = _contact(
+        "gap_law", "shape of the gap law [R]"
     )
-    buffer_m: Number = _engine(
-        ContactParams, "buffer", "m", "gap from which there is none, d_b", gt=0, le=10
-    )
-    c1_s2_per_m2: Number = _engine(
-        ContactParams, "c1", "s2/m2", "speed factor: of v|v|", ge=0, le=100
-    )
-    c2_s_per_m: Number = _engine(ContactParams, "c2", "s/m", "speed factor: of v", ge=0, le=100)
-    c3: Number = _engine(ContactParams, "c3", "1", "speed factor: constant", ge=0, le=100)
-    gap_law: Literal["gaussian", "lorentzian", "sech2", "quartic"] = _engine(
-        ContactParams, "gap_law", "", "shape of the gap law [R]"
-    )
-    inside: Literal["held", "even"] = _engine(
-        ContactParams,
+    inside: Literal["held", "even"] = _contact(
         "inside",
-        "",
         "inside a body: held at F_max, or even, the same bell as outside (published runs) [R]",
     )
-    begin_force_N: Number = _engine(
-        ContactParams, "begin_force", "N", "a collision begins above this [R]", gt=0, le=1e8
+    begin_force_N: Number = _contact(
+        "begin_force", "a collision begins above this [R]", gt=0, le=1e8
     )
-    end_force_N: Number = _engine(
-        ContactParams, "end_force", "N", "and ends below this [R]", gt=0, le=1e8
-    )
-    end_hold_s: Number = _engine(
-        ContactParams, "end_hold", "s", "held for this long [R]", ge=0, le=10
-    )
+    end_force_N: Number = _contact("end_force", "and ends below this [R]", gt=0, le=1e8)
+    end_hold_s: Number = _contact("end_hold", "held for this long [R]", ge=0, le=10)
 
 
 class Derailment(Section):
     """When trucks leave the rails and couplings part."""
 
-    lv_limit: Number = _engine(
-        DerailmentParams,
+    lv_limit: Number = _derailment(
         "lv_limit",
-        "1",
         "derailment quotient: a truck leaves the rails above this lateral over vertical force",
         gt=0,
         le=1e6,
     )
-    lv_hold_s: Number = _engine(
-        DerailmentParams,
-        "lv_hold",
-        "s",
-        "time for which lv_limit must be exceeded; 0: at once",
-        later=True,
-        ge=0,
-        le=10,
+    lv_hold_s: Number = _derailment(
+        "lv_hold", "time for which lv_limit must be exceeded; 0: at once", later=True, ge=0, le=10
     )
-    truck_play_m: Number = _engine(
-        DerailmentParams,
+    truck_play_m: Number = _derailment(
         "truck_play",
-        "m",
         "play of trucks to either side between the rails; cars in buff turn within it",
         later=True,
         ge=0,
         le=0.2,
     )
-    guide_strength_N: Number = _engine(
-        DerailmentParams,
+    guide_strength_N: Number = _derailment(
         "guide_strength",
-        "N",
         "largest force across the track with which a rail guides a derailed truck; 0: none",
         later=True,
         ge=0,
         le=1e8,
     )
-    guide_stiffness_N_per_m: Number = _engine(
-        DerailmentParams,
-        "guide_stiffness",
-        "N/m",
-        "stiffness of such a rail",
-        later=True,
-        gt=0,
-        le=1e10,
+    guide_stiffness_N_per_m: Number = _derailment(
+        "guide_stiffness", "stiffness of such a rail", later=True, gt=0, le=1e10
     )
-    guide_play_m: Number = _engine(
-        DerailmentParams,
-        "guide_play",
-        "m",
-        "offset from the centre line from which it guides",
-        later=True,
-        ge=0,
-        le=5,
+    guide_play_m: Number = _derailment(
+        "guide_play", "offset from the centre line from which it guides", later=True, ge=0, le=5
     )
-    break_follows_lateral: Switch = _engine(
-        DerailmentParams,
+    break_follows_lateral: Switch = _derailment(
         "break_follows_lateral",
-        "",
         "a lateral derailment also breaks the rail there (rail roll-over) [R]",
     )
-    break_ahead_of_truck_m: Number = _engine(
-        DerailmentParams,
+    break_ahead_of_truck_m: Number = _derailment(
         "break_ahead_of_truck",
-        "m",
         "distance ahead of the front truck at which a rail breaks under a car",
         ge=0,
         le=100,
     )
-    knuckle_limit_ee_rad: Number = _engine(
-        DerailmentParams, "knuckle_limit_ee", "rad", "angle at which two E heads part", gt=0, le=3
+    knuckle_limit_ee_rad: Number = _derailment(
+        "knuckle_limit_ee", "angle at which two E heads part", gt=0, le=3
     )
-    knuckle_limit_ff_rad: Number = _engine(
-        DerailmentParams, "knuckle_limit_ff", "rad", "angle at which two F heads part", gt=0, le=3
+    knuckle_limit_ff_rad: Number = _derailment(
+        "knuckle_limit_ff", "angle at which two F heads part", gt=0, le=3
     )
-    knuckle_limit_ef_rad: Number = _engine(
-        DerailmentParams,
-        "knuckle_limit_ef",
-        "rad",
-        "angle at which an E and an F head part [R]",
-        gt=0,
-        le=3,
+    knuckle_limit_ef_rad: Number = _derailment(
+        "knuckle_limit_ef", "angle at which an E and an F head part [R]", gt=0, le=3
     )
 
 
 class Integration(Section):
     """How the run is integrated and when it ends."""
 
-    method: TypeName = _engine(
-        IntegrationParams,
-        "method",
-        "",
-        "row (friction near rest implicit) or rkf45 (the reference)",
+    method: TypeName = _integration(
+        "method", "row (friction near rest implicit) or rkf45 (the reference)"
     )
-    rtol: Number = _engine(
-        IntegrationParams,
-        "rtol",
-        "1",
-        "relative error allowed per step; 1e-4 suits rkf45",
-        ge=1e-12,
-        le=0.1,
+    rtol: Number = _integration(
+        "rtol", "relative error allowed per step; 1e-4 suits rkf45", ge=1e-12, le=0.1
     )
-    stabilization: Literal["projection", "baumgarte"] = _engine(
-        IntegrationParams, "stabilization", "", "projection or baumgarte"
+    stabilization: Literal["projection", "baumgarte"] = _integration(
+        "stabilization", "projection or baumgarte"
     )
-    baumgarte_velocity_per_s: Number = _engine(
-        IntegrationParams, "baumgarte_velocity", "1/s", "its velocity constant [R]", ge=0, le=1e4
+    baumgarte_velocity_per_s: Number = _integration(
+        "baumgarte_velocity", "its velocity constant [R]", ge=0, le=1e4
     )
-    baumgarte_position_per_s2: Number = _engine(
-        IntegrationParams, "baumgarte_position", "1/s2", "its position constant [R]", ge=0, le=1e7
+    baumgarte_position_per_s2: Number = _integration(
+        "baumgarte_position", "its position constant [R]", ge=0, le=1e7
     )
-    locate_crossings: Switch = _engine(
-        IntegrationParams,
+    locate_crossings: Switch = _integration(
         "locate_crossings",
-        "",
         "find break crossings and coupling failures inside the step; false: only at step ends, "
         "as in the source",
     )
-    buffer_fraction: Number = _engine(
-        IntegrationParams,
+    buffer_fraction: Number = _integration(
         "buffer_fraction",
-        "1",
         "no corner of a car that may turn moves further than this share of the buffer in one step",
         gt=0,
         le=0.5,
     )
-    max_step_s: Number = _engine(IntegrationParams, "max_step", "s", "longest step", gt=0, le=1)
-    min_step_s: Number = _engine(
-        IntegrationParams, "min_step", "s", "shortest step: below it the run fails", gt=0, le=1
+    max_step_s: Number = _integration("max_step", "longest step", gt=0, le=1)
+    min_step_s: Number = _integration(
+        "min_step", "shortest step: below it the run fails", gt=0, le=1
     )
-    rest_speed_m_per_s: Number = _engine(
-        IntegrationParams,
-        "rest_speed",
-        "m/s",
-        "at rest: all cars slower than this [R]",
-        gt=0,
-        le=1,
+    rest_speed_m_per_s: Number = _integration(
+        "rest_speed", "at rest: all cars slower than this [R]", gt=0, le=1
     )
-    rest_yaw_rate_rad_per_s: Number = _engine(
-        IntegrationParams, "rest_yaw_rate", "rad/s", "and turning slower than this [R]", gt=0, le=1
+    rest_yaw_rate_rad_per_s: Number = _integration(
+        "rest_yaw_rate", "and turning slower than this [R]", gt=0, le=1
     )
-    rest_hold_s: Number = _engine(
-        IntegrationParams, "rest_hold", "s", "for this long [R]", gt=0, le=60
-    )
-    time_limit_s: Number = _engine(
-        IntegrationParams,
+    rest_hold_s: Number = _integration("rest_hold", "for this long [R]", gt=0, le=60)
+    time_limit_s: Number = _integration(
         "time_limit",
-        "s",
         "the run ends with the first step that ends at this time or later, at rest or not",
         gt=0,
         le=1e5,
@@ -1045,18 +906,18 @@ class Integration(Section):
 class InputSpec(Section):
     """A file that a scenario was made from; it is looked for beside the scenario."""
 
-    file: FileName = _field(..., "", "its name")
-    sha256: Sha256 = _field(..., "", "SHA-256 of its content, hexadecimal")
+    file: FileName = _field(..., "its name")
+    sha256: Sha256 = _field(..., "SHA-256 of its content, hexadecimal")
 
 
 class Datum(Section):
     """Where on the Earth the origin of the frame is, and how the frame is turned (WGS 84)."""
 
-    latitude_deg: Number = _field(..., "deg", "latitude, north positive", ge=-89, le=89)
-    longitude_deg: Number = _field(..., "deg", "longitude, east positive", ge=-180, le=180)
-    altitude_m: Number = _field(0.0, "m", "height above the ellipsoid", ge=-1000, le=10_000)
+    latitude_deg: Number = _field(..., "latitude, north positive", ge=-89, le=89)
+    longitude_deg: Number = _field(..., "longitude, east positive", ge=-180, le=180)
+    altitude_m: Number = _field(0.0, "height above the ellipsoid", ge=-1000, le=10_000)
     azimuth_deg: Number = _field(
-        90.0, "deg", "direction of the x axis, clockwise from north", ge=-360, le=360
+        90.0, "direction of the x axis, clockwise from north", ge=-360, le=360
     )
 
 
@@ -1066,136 +927,131 @@ Vertex = tuple[Number, Number]
 class Outlined(Section):
     """Something with an outline."""
 
-    name: Title = _field(..., "", "name in outputs")
+    name: Title = _field(..., "name in outputs")
     outline_m: tuple[Vertex, ...] = _field(
-        (), "m", "vertices [x, y] in the frame of the track", max_length=2000
+        (), "vertices [x, y] in the frame of the track", max_length=2000
     )
     outline_along_m: tuple[Vertex, ...] = _field(
-        (), "m", "or vertices [track coordinate, offset to the left]", max_length=2000
+        (), "or vertices [track coordinate, offset to the left]", max_length=2000
     )
 
 
 class ZoneSpec(Outlined):
     """Ground with its own constants inside a polygon; where zones overlap, the last one counts."""
 
-    factor: Number | None = _field(None, "1", "factor on the constants of `ground`", ge=0, le=100)
+    factor: Number | None = _field(None, "factor on the constants of `ground`", ge=0, le=100)
     preset: Literal["soil_lowest", "soil_highest"] | None = _field(
-        None, "", "resistance 1 or 3.5: the range that the source cites for soils"
+        None, "resistance 1 or 3.5: the range that the source cites for soils"
     )
-    c_s: Number | None = _field(None, "1", "static coefficient; that of ground", ge=0, le=100)
-    c_d: Number | None = _field(None, "1", "dynamic coefficient; that of ground", ge=0, le=100)
+    c_s: Number | None = _field(None, "static coefficient; that of ground", ge=0, le=100, unit="")
+    c_d: Number | None = _field(None, "dynamic coefficient; that of ground", ge=0, le=100)
     eps_m_per_s: Number | None = _field(
-        None, "m/s", "speed that smooths the change at rest; that of ground", gt=0, le=10
+        None, "speed that smooths the change at rest; that of ground", gt=0, le=10
     )
-    c_v_s_per_m: Number | None = _field(
-        None, "s/m", "growth with speed; that of ground", ge=0, le=100
-    )
-    rise_percent: Number = _field(0.0, "%", "slope, rise over run", ge=0, le=200)
+    c_v_s_per_m: Number | None = _field(None, "growth with speed; that of ground", ge=0, le=100)
+    rise_percent: Number = _field(0.0, "slope, rise over run", ge=0, le=200)
     uphill_deg: Number | None = _field(
-        None, "deg", "direction uphill, counter-clockwise from the x axis", ge=-360, le=360
+        None, "direction uphill, counter-clockwise from the x axis", ge=-360, le=360
     )
 
 
 class FixedSpec(Outlined):
     """A wall, pier or building that cars strike."""
 
-    closed: Switch = _field(False, "", "a polygon (pier, building), or else a chain (wall)")
+    closed: Switch = _field(False, "a polygon (pier, building), or else a chain (wall)")
     yields_at_N: Number | None = _field(
-        None, "N", "force of one corner of a car that pushes it in; null: rigid", gt=0, le=1e9
+        None, "force of one corner of a car that pushes it in; null: rigid", gt=0, le=1e9
     )
     takes_J: Number | None = _field(
         None,
-        "J",
         "energy after which it gives way for good: each segment of a chain, a polygon as a "
         "whole; null: never",
         gt=0,
         le=1e12,
     )
     height_m: Number = _field(
-        WALL_HEIGHT, "m", "over the ground, in model spatial; the default is assumed", gt=0, le=500
+        WALL_HEIGHT,
+        "over the ground, in model spatial; the default is assumed",
+        later=True,
+        gt=0,
+        le=500,
     )
 
 
 class AreaSpec(Outlined):
     """A polygon or a line; the outcome says which cars enter it."""
 
-    closed: Switch = _field(True, "", "a polygon, or else a line")
+    closed: Switch = _field(True, "a polygon, or else a line")
 
 
 class SecondTrackSpec(Section):
     """A track beside the main one: at an offset, or with an alignment of its own."""
 
-    name: Title = _field(..., "", "name in outputs")
+    name: Title = _field(..., "name in outputs")
     offset_m: Number | None = _field(
-        None, "m", "how far to the left of the main track; negative: right", ge=-1e3, le=1e3
+        None, "how far to the left of the main track; negative: right", ge=-1e3, le=1e3
     )
     from_m: Number | None = _field(
-        None,
-        "m",
-        "with offset_m: coordinate of the main track beside which it begins, and its own",
+        None, "with offset_m: coordinate of the main track beside which it begins, and its own"
     )
-    to_m: Number | None = _field(None, "m", "the same for its end")
-    alignment: tuple[Piece, ...] = _field((), "", "or pieces as those of `track`", max_length=1000)
-    start_coordinate_m: Number = _field(0.0, "m", "coordinate where the alignment begins")
-    start_x_m: Number = _field(0.0, "m", "x where the alignment begins", ge=-1e6, le=1e6)
-    start_y_m: Number = _field(0.0, "m", "y where the alignment begins", ge=-1e6, le=1e6)
+    to_m: Number | None = _field(None, "the same for its end")
+    alignment: tuple[Piece, ...] = _field((), "or pieces as those of `track`", max_length=1000)
+    start_coordinate_m: Number = _field(0.0, "coordinate where the alignment begins")
+    start_x_m: Number = _field(0.0, "x where the alignment begins", ge=-1e6, le=1e6)
+    start_y_m: Number = _field(0.0, "y where the alignment begins", ge=-1e6, le=1e6)
     start_heading_rad: Number = _field(
-        0.0, "rad", "direction in which it begins, CCW from +X", ge=-10, le=10
+        0.0, "direction in which it begins, CCW from +X", ge=-10, le=10
     )
 
 
 class StandingSpec(Section):
     """Coupled cars that stand on a second track."""
 
-    track: Title = _field(..., "", "name of the second track")
+    track: Title = _field(..., "name of the second track")
     position_m: Number = _field(
-        ..., "m", "coordinate of the first car's mass centre there; the others stand behind it"
+        ..., "coordinate of the first car's mass centre there; the others stand behind it"
     )
     consist: tuple[ConsistBlock, ...] = _field(
-        ..., "", "blocks of cars, as of the train", min_length=1, max_length=500
+        ..., "blocks of cars, as of the train", min_length=1, max_length=500
     )
 
 
 class Site(Section):
     """The place of the scenario."""
 
-    datum: Datum | None = _field(None, "", "where on the Earth it is")
+    datum: Datum | None = _field(None, "where on the Earth it is")
     file: FileName | None = _field(
         None,
-        "",
         "GeoJSON file beside the scenario; its features become zones, fixed bodies and areas "
         "when the scenario is read",
         later=True,
     )
     reference_system: Label | None = _field(
         None,
-        "",
         "of the file: EPSG:4326 (longitude and latitude, unless given), another by pyproj, or "
         "`local`: x and y in m",
         later=True,
     )
     zones: tuple[ZoneSpec, ...] = _field(
-        (), "", "polygons of ground with constants of their own", max_length=500, later=True
+        (), "polygons of ground with constants of their own", max_length=500, later=True
     )
     fixed: tuple[FixedSpec, ...] = _field(
-        (), "", "walls, piers and buildings", max_length=500, later=True
+        (), "walls, piers and buildings", max_length=500, later=True
     )
     areas: tuple[AreaSpec, ...] = _field(
         (),
-        "",
         "lines and polygons; the outcome says which cars enter them",
         max_length=500,
         later=True,
     )
     tracks: tuple[SecondTrackSpec, ...] = _field(
-        (), "", "tracks beside the main one", max_length=100, later=True
+        (), "tracks beside the main one", max_length=100, later=True
     )
     standing: tuple[StandingSpec, ...] = _field(
-        (), "", "cars that stand on them", max_length=100, later=True
+        (), "cars that stand on them", max_length=100, later=True
     )
     border_m: Number = _field(
         0.5,
-        "m",
         "width over which the ground of one zone passes into the next",
         gt=0,
         le=100,
@@ -1206,50 +1062,43 @@ class Site(Section):
 class ScenarioModel(Section):
     """A derailment scenario."""
 
-    version: Literal[1] = _field(..., "", "version of the format")
-    title: Title = _field(..., "", "what it is, in a line")
-    description: Text = _field("", "", "longer description")
-    source: Text = _field("", "", "source of the numbers")
-    model: TypeName = _field(
-        "planar", "", "model that computes the run; `derail models` lists them"
-    )
+    version: Literal[1] = _field(..., "version of the format")
+    title: Title = _field(..., "what it is, in a line")
+    description: Text = _field("", "longer description")
+    source: Text = _field("", "source of the numbers")
+    model: TypeName = _field("planar", "model that computes the run; `derail models` lists them")
     constants: Literal["published", "calibrated"] | None = _field(
         None,
-        "",
         "constants for fields that are not given: published (the thesis') or calibrated (learned "
         "from accident reports); null: calibrated, if such a field is left open",
         later=True,
     )
     drawn: tuple[Label, ...] = _field(
-        (), "", "written by programs: the constants here that ensembles draw", later=True
+        (), "written by programs: the constants here that ensembles draw", later=True
     )
     uncertain: dict[str, Uncertain] = _field(
         {},
-        "",
         "dotted path -> what members of an ensemble draw for it; `*` is every entry of a list",
         later=True,
         max_length=50,
     )
     inputs: tuple[InputSpec, ...] = _field(
         (),
-        "",
         "files that this one was made from; they travel with recordings",
         later=True,
         max_length=20,
     )
-    train: Train = _field(..., "", "the train and its speed")
-    couplers: Couplers = _field(Couplers(), "", "values for all couplers, and types")
-    track: TrackSection = _field(TrackSection(), "", "the centre line and its breaks")
-    initiation: Initiation = _field(Initiation(), "", "how the derailment starts")
-    brakes: Brakes = _field(Brakes(), "", "brakes and their application")
-    traction: Traction = _field(Traction(), "", "how the locomotives pull and brake", later=True)
-    resistance: Resistance = _field(Resistance(), "", "rolling and air resistance", later=True)
-    ground: Ground = _field(Ground(), "", "reaction of the ground on derailed trucks and bodies")
-    contact: Contact = _field(Contact(), "", "collisions between cars")
-    derailment: Derailment = _field(
-        Derailment(), "", "when trucks leave the rails and couplings part"
-    )
-    integration: Integration = _field(Integration(), "", "integration and the end of the run")
+    train: Train = _field(..., "the train and its speed")
+    couplers: Couplers = _field(Couplers(), "values for all couplers, and types")
+    track: TrackSection = _field(TrackSection(), "the centre line and its breaks")
+    initiation: Initiation = _field(Initiation(), "how the derailment starts")
+    brakes: Brakes = _field(Brakes(), "brakes and their application")
+    traction: Traction = _field(Traction(), "how the locomotives pull and brake", later=True)
+    resistance: Resistance = _field(Resistance(), "rolling and air resistance", later=True)
+    ground: Ground = _field(Ground(), "reaction of the ground on derailed trucks and bodies")
+    contact: Contact = _field(Contact(), "collisions between cars")
+    derailment: Derailment = _field(Derailment(), "when trucks leave the rails and couplings part")
+    integration: Integration = _field(Integration(), "integration and the end of the run")
     site: Site | None = _field(
-        None, "", "the place: where on the Earth it is, and what is beside the track", later=True
+        None, "the place: where on the Earth it is, and what is beside the track", later=True
     )

@@ -13,12 +13,10 @@ import json
 import math
 import re
 from collections.abc import Callable, Sequence
-from typing import Any
-
-from pydantic import ValidationError
+from typing import TYPE_CHECKING, Any
 
 from derail_ros.scenario.errors import Refusal, ScenarioError
-from derail_ros.scenario.messages import did_you_mean, first_mistake, shown
+from derail_ros.scenario.messages import did_you_mean, shown, validated
 from derail_ros.scenario.schema import (
     AreaSpec,
     FixedSpec,
@@ -27,6 +25,7 @@ from derail_ros.scenario.schema import (
     ScenarioModel,
     Section,
     Site,
+    TrackSection,
     ZoneSpec,
 )
 from derail_ros.scenario.schema import Datum as DatumSpec
@@ -35,6 +34,9 @@ from derail_ros.scenario.strict_yaml import Path
 from derail_ros.scenario.units import canonical, field_of
 from derail_ros.vocabulary.place import Datum, datum_of
 from derail_ros.vocabulary.site import Area, FixedBody, GroundZone, SiteParams
+
+if TYPE_CHECKING:
+    from derail_ros.scenario.alignment import Alignment
 
 ROLES: dict[str, tuple[str, type[Section]]] = {
     "zone": ("zones", ZoneSpec),
@@ -45,6 +47,9 @@ ROLES: dict[str, tuple[str, type[Section]]] = {
 
 SECOND_TRACK = "second_track"
 """Role of a feature that becomes a track of ``site.tracks``."""
+
+TOLERANCE = TrackSection.model_fields["file_tolerance_m"].default
+"""Standard deviation that is granted to the points of a file, m, unless it is given."""
 
 FARTHEST = 20e3
 """Distance from the origin of the frame beyond which an outline cannot be meant, m."""
@@ -222,28 +227,18 @@ def add_alignment(data: dict[str, Any], file: str, content: bytes) -> list[str]:
     ScenarioError
         With the vertex or the row, and the reason.
     """
-    from derail_ros.scenario.alignment import FitError, fit_once
-
     track = data["track"]
-    tolerance = track.pop("file_tolerance_m", 0.01)
+    tolerance = track.pop("file_tolerance_m", TOLERANCE)
     for key in ("alignment", "start_x_m", "start_y_m", "start_heading_rad"):
         if track.get(key):
             raise ScenarioError(
                 file, None, f"track.{key}", "comes from the file too: give one of the two"
             )
-    if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance <= 100.0:
-        reason = f"must be above 0 and at most 100, got {shown(tolerance)}"
-        raise ScenarioError(file, None, "track.file_tolerance_m", reason)
     table = file.lower().endswith(".csv")
     points = _table(file, content) if table else _line(file, content, data.get("site") or {})
-    try:
-        fit = fit_once(points, float(tolerance))
-    except FitError as error:
-        raise ScenarioError(file, None, "", str(error)) from None
-    track |= {"start_x_m": fit.x, "start_y_m": fit.y, "start_heading_rad": fit.heading}
-    track["alignment"] = [_piece(*piece) for piece in fit.pieces()]
-    text = f"{len(track['alignment'])} pieces of track, residual {fit.plan.rms:.3g} m (root mean "
-    text += f"square), {fit.plan.largest:.3g} m at most"
+    fit, line, text = _fitted(file, "", points, tolerance)
+    track |= line
+    text += f", {fit.plan.largest:.3g} m at most"
     if fit.grades is not None:
         if track.get("grades"):
             reason = "come from the heights of the file too: give one of the two"
@@ -394,9 +389,8 @@ def add_features(data: dict[str, Any], file: str, content: bytes) -> list[str]:
                 notes.append(f"{file}: {place}: property {prop!r} is not known and is ignored")
         try:
             entry = canonical(entry, kind, (), {})
-            kind.model_validate(entry)
-        except (Refusal, ValidationError) as error:
-            mistake = error if isinstance(error, Refusal) else first_mistake(error, kind)
+            validated(kind, entry)
+        except Refusal as mistake:
             what = ".".join(map(str, mistake.path))
             raise ScenarioError(file, None, place, f"{what}: {mistake.reason}") from None
         found[key].append(entry)
@@ -411,25 +405,33 @@ def _second_track(
     file: str, place: str, feature: dict[str, Any], to_frame: ToFrame
 ) -> tuple[dict[str, Any], str]:
     """The alignment fitted to a LineString, and a note with the residual."""
+    points, closed = _geometry(file, place, feature.get("geometry"), to_frame)
+    if closed:
+        raise ScenarioError(file, None, place, f"a {SECOND_TRACK} must be a LineString")
+    tolerance = feature["properties"].get("file_tolerance_m", TOLERANCE)
+    _, line, text = _fitted(file, place, points, tolerance)
+    return line, f"{file}: {place}: {text}"
+
+
+def _fitted(
+    file: str, place: str, points: Any, tolerance: Any
+) -> tuple[Alignment, dict[str, Any], str]:
+    """An alignment fitted to points, the fields of a track that say it, and the residual."""
     import numpy as np
 
     from derail_ros.scenario.alignment import FitError, fit_once
 
-    points, closed = _geometry(file, place, feature.get("geometry"), to_frame)
-    if closed:
-        raise ScenarioError(file, None, place, f"a {SECOND_TRACK} must be a LineString")
-    tolerance = feature["properties"].get("file_tolerance_m", 0.01)
     if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance <= 100.0:
         reason = f"file_tolerance_m: must be above 0 and at most 100, got {shown(tolerance)}"
         raise ScenarioError(file, None, place, reason)
     try:
-        fit = fit_once(np.array(points), float(tolerance))
+        fit = fit_once(np.asarray(points), float(tolerance))
     except FitError as error:
         raise ScenarioError(file, None, place, str(error)) from None
-    start = {"start_x_m": fit.x, "start_y_m": fit.y, "start_heading_rad": fit.heading}
+    line = {"start_x_m": fit.x, "start_y_m": fit.y, "start_heading_rad": fit.heading}
     alignment = [_piece(*piece) for piece in fit.pieces()]
-    told = f"{len(alignment)} pieces of track, residual {fit.plan.rms:.3g} m (root mean square)"
-    return {**start, "alignment": alignment}, f"{file}: {place}: {told}"
+    text = f"{len(alignment)} pieces of track, residual {fit.plan.rms:.3g} m (root mean square)"
+    return fit, {**line, "alignment": alignment}, text
 
 
 def _features(file: str, content: bytes) -> list[dict[str, Any]]:
@@ -461,9 +463,8 @@ def _to_frame(file: str, data: dict[str, Any], site: dict[str, Any]) -> ToFrame:
         reason = "longitude and latitude need site.datum (or reference_system: local, in metres)"
         raise ScenarioError(file, None, "", reason)
     try:
-        checked = DatumSpec.model_validate(canonical(given, DatumSpec, (), {}))
-    except ValidationError as error:
-        mistake = first_mistake(error, DatumSpec)
+        checked = validated(DatumSpec, canonical(given, DatumSpec, (), {}))
+    except Refusal as mistake:
         raise Refusal(("site", "datum", *mistake.path), mistake.reason) from None
     datum = datum_of({"datum": checked.model_dump()})
     assert datum is not None

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import yaml
 
-from derail_ros.scenario.errors import ScenarioError
+from derail_ros.scenario.errors import Refusal, ScenarioError
 
 MAX_BYTES = 512 * 1024
 """Largest text that is read, bytes of UTF-8."""
@@ -82,6 +83,14 @@ class Document:
             reason, path = f"{reason} (as {path[-1]})", (*path[:-1], key)
         mark = self.mark(path)
         return ScenarioError(mark.file, mark.line, dotted(path), reason)
+
+    @contextmanager
+    def refusals(self) -> Iterator[None]:
+        """Raise the error that names the place of each refusal within the block."""
+        try:
+            yield
+        except Refusal as refusal:
+            raise self.error(refusal.path, refusal.reason) from None
 
 
 def dotted(path: Path) -> str:

@@ -7,6 +7,7 @@ fields. A value is converted once, before anything else looks at it, to the unit
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import operator
 from collections.abc import Callable
@@ -50,6 +51,18 @@ CURVES = {
 def radius_of(degree: float) -> float:
     """Radius (m) of a curve of ``D`` degrees, by 100 feet of arc: ``1746.4 / D``."""
     return 100.0 * FOOT * 180.0 / (math.pi * degree)
+
+
+WORDS = {"m", "s", "N", "kg", "m2", "s2", "rad", "deg", "kmh", "kN", "J", "kW", "percent", "per"}
+"""What the ends of the fields' keys are made of."""
+
+
+def unit_of(key: str) -> str:
+    """The unit that the end of a field's key names, as it is printed; "" if it names none."""
+    words = list(itertools.takewhile(WORDS.__contains__, reversed(key.split("_")[1:])))[::-1]
+    above, per, below = " ".join(words).partition("per ")
+    unit = f"{above.strip() or 1}/{below}" if per else above
+    return {"kmh": "km/h", "kmh kN": "km/h, kN", "percent": "%"}.get(unit, unit)
 
 
 def split(key: str) -> tuple[str, str, str] | None:

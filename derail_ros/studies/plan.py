@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from derail_ros.config_path import config_dir
 from derail_ros.scenario import Scenario, ScenarioError, load_scenario
 from derail_ros.scenario import files as scenario_files
 from derail_ros.scenario.distributions import mistake
-from derail_ros.scenario.messages import did_you_mean, first_mistake
+from derail_ros.scenario.messages import did_you_mean, validated
 from derail_ros.scenario.schema import (
     Distribution,
     Integer,
@@ -249,11 +249,8 @@ def _study(name: str, document: Document, folder: FilePath | None) -> Study:
 
 
 def _validate(document: Document) -> StudyModel:
-    try:
-        return StudyModel.model_validate(document.data)
-    except ValidationError as error:
-        mistake = first_mistake(error, StudyModel)
-        raise document.error(mistake.path, mistake.reason) from None
+    with document.refusals():
+        return validated(StudyModel, document.data)
 
 
 def _base_scenario(model: StudyModel, document: Document, folder: FilePath | None) -> Scenario:
