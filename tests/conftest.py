@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import cProfile
 import signal
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -28,19 +28,9 @@ def calls() -> Callable[[Callable[[], Any]], int]:
     """
 
     def count(work: Callable[[], Any]) -> int:
-        found = 0
-
-        def one(frame: Any, event: str, argument: Any) -> None:
-            nonlocal found
-            found += event in ("call", "c_call")
-
-        before = sys.getprofile()
-        sys.setprofile(one)
-        try:
-            work()
-        finally:
-            sys.setprofile(before)
-        return found
+        profile = cProfile.Profile()
+        profile.runcall(work)
+        return sum(entry.callcount for entry in profile.getstats())
 
     return count
 

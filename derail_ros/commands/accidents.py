@@ -118,10 +118,8 @@ def read(paths: Sequence[Path]) -> list[Report]:
     """Read reports; a file that cannot be read ends the command with one line."""
     from derail_ros.studies.accidents import AccidentFileError, read_reports
 
-    try:
+    with common.refusing(AccidentFileError):
         return read_reports(paths)
-    except AccidentFileError as error:
-        raise CommandFailure(str(error)) from None
 
 
 def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str]) -> int:
@@ -138,10 +136,8 @@ def _print_scenario(paths: Sequence[Path], number: str, settings: Sequence[str])
             f"{number!r}" + (f": {where}" if found else "")
         )
     _ways([], settings)
-    try:
+    with common.refusing(ValueError, at="--report"):
         scenario = told_scenario(real_base_train(common.overrides(settings)), found[0])
-    except ValueError as error:
-        raise CommandFailure(f"--report: {error}") from None
     print(scenario.to_yaml(), end="")
     return OK
 
@@ -172,11 +168,11 @@ def _run_models(
     from derail_ros.vocabulary.errors import ParameterError
 
     ways = _ways(models, settings)
-    with common.counting_runs("accidents") as progress:
-        try:
-            counts = reenact(trains, ways, jobs=jobs, progress=progress)
-        except ParameterError as error:
-            raise CommandFailure(f"base_train: {error}") from None
+    with (
+        common.refusing(ParameterError, at="base_train"),
+        common.counting_runs("accidents") as progress,
+    ):
+        counts = reenact(trains, ways, jobs=jobs, progress=progress)
     if as_json:
         found = _mean_trains(trains, classes, counts) if classes else _agreement(trains, counts)
         common.print_json("accidents", {"group": group.words, "settings": settings, **found})

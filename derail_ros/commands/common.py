@@ -33,6 +33,16 @@ class CommandFailure(Exception):
         self.code = code
 
 
+@contextmanager
+def refusing(*kinds: type[Exception], at: object = "", code: int = BAD_INPUT) -> Iterator[None]:
+    """Report errors of these kinds in one line, behind ``at``, the place of the mistake."""
+    try:
+        yield
+    except kinds as error:
+        text = (isinstance(error, OSError) and error.strerror) or str(error)
+        raise CommandFailure(f"{at}: {text}" if at else text, code) from None
+
+
 def err() -> Console:
     """Console for messages beside the answer."""
     from rich.console import Console
@@ -213,14 +223,14 @@ def exit_code(failed: int, errors: Iterable[str]) -> int:
     return FAILED if failed else OK
 
 
-def need_extra(command: str, *modules: str) -> None:
-    """Refuse to go on without the packages of the extra ``studies``."""
+def need_extra(what: str, extra: str, *modules: str) -> None:
+    """Refuse to go on without the packages of an extra."""
     import importlib.util
 
     for module in modules:
         if importlib.util.find_spec(module) is None:
             raise CommandFailure(
-                f"{command} needs the extra 'studies': pip install 'derail_ros[studies]' "
+                f"{what} needs the extra '{extra}': pip install 'derail_ros[{extra}]' "
                 f"({module} is missing)"
             )
 
@@ -232,10 +242,8 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 def output_directory(path: Path) -> Path:
     """Make a folder for results; one with something in it is refused, results are not mixed."""
-    try:
+    with refusing(OSError, at=path):
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
             raise CommandFailure(f"{path}: is not empty; choose another folder or empty it")
-    except OSError as error:
-        raise CommandFailure(f"{path}: {error.strerror or error}") from None
     return path

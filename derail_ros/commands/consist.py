@@ -57,11 +57,9 @@ def _write(output: Path, text: str, file: Path, content: bytes) -> None:
     if output.exists():
         raise CommandFailure(f"{output}: exists already")
     beside = output.parent / file.name
-    try:
+    with common.refusing(OSError, at=output):
         if not beside.exists():
             beside.write_bytes(content)
         elif beside.read_bytes() != content:
             raise CommandFailure(f"{beside}: exists already, with another content")
         output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandFailure(f"{output}: {error.strerror or error}") from None

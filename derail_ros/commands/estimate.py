@@ -88,11 +88,9 @@ def run(
     arguments: dict[str, Any] = {"mu1": mu1, "mu2": mu2, "car_length": car_length}
     if case.forms:
         arguments["form"] = form
-    try:
+    with common.refusing(ValueError):
         answer = function(speed_kmh / 3.6, counts, **arguments)
         limits = bar.limiting_speed(counts, **arguments) * 3.6 if name == "bar-2" else None
-    except ValueError as error:
-        raise CommandFailure(str(error)) from None
     trains = [
         {
             "cars": n,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from derail_ros.commands import common
-from derail_ros.commands.common import OK, CommandFailure
+from derail_ros.commands.common import OK
 from derail_ros.commands.options import Settings
 
 SCENARIO = "curve_derailment"
@@ -49,12 +49,11 @@ def run(
     wish = Wish(scenario or SCENARIO, changed, whole=scenario is None)
     loaded = wish.load()
     common.warm_up(loaded.to_params().model)
-    try:
+    with common.refusing(ParameterError, at=loaded.name):
         live = LiveRun(wish, rate)
-    except ParameterError as error:
-        raise CommandFailure(f"{loaded.name}: {error}") from None
+    address = f"{host}:{port or ''}"
     try:
-        with serving(live.board, host, port) as server:
+        with common.refusing(OSError, at=address), serving(live.board, host, port) as server:
             print(f"look: {'  '.join(server.addresses)}  (Ctrl-C ends)", flush=True)
             if not server.local:
                 common.note("derail: everyone in this network can see and control this run")
@@ -64,8 +63,6 @@ def run(
                     target=webbrowser.open, args=(server.addresses[0],), daemon=True
                 ).start()
             live.go_on()
-    except OSError as error:
-        raise CommandFailure(f"{host}:{port or ''}: {error.strerror or error}") from None
     except KeyboardInterrupt:
         pass
     return OK

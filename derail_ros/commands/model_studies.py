@@ -63,11 +63,9 @@ def sensitivity(
     from derail_ros.studies import sensitivity as s
     from derail_ros.studies.published import load_published
 
-    try:
+    with common.refusing(ValueError):
         s.choose_cases(load_published(), cases or [])
         s.choose_constants(constants or [])
-    except ValueError as error:
-        raise CommandFailure(str(error)) from None
     with common.counting_runs("sensitivity") as progress:
         study = s.sensitivity(
             members,
@@ -161,7 +159,7 @@ def convergence(
     as_json: Json = False,
 ) -> int:
     """Compare ensembles at several tolerances with the tightest."""
-    common.need_extra("derail convergence", "scipy")
+    common.need_extra("derail convergence", "studies", "scipy")
     from derail_ros.studies import convergence as c
 
     rtols = sorted(set(tolerances or c.TOLERANCES), reverse=True)
@@ -172,15 +170,15 @@ def convergence(
             raise CommandFailure(f"--rtol: must be 1e-12 to 0.1, got {rtol:g}")
     studies = []
     for scenario in [common.load(name) for name in (names or c.SCENARIOS)]:
-        try:
-            with common.counting_runs(scenario.name) as progress:
-                studies.append(
-                    c.convergence(
-                        scenario, members, seed, tolerances=rtols, jobs=jobs, progress=progress
-                    )
+        with (
+            common.refusing(RuntimeError, at=scenario.name, code=FAILED),
+            common.counting_runs(scenario.name) as progress,
+        ):
+            studies.append(
+                c.convergence(
+                    scenario, members, seed, tolerances=rtols, jobs=jobs, progress=progress
                 )
-        except RuntimeError as error:
-            raise CommandFailure(f"{scenario.name}: {error}", FAILED) from None
+            )
     if as_json:
         values = {"members": members, "seed": seed, "studies": [s.as_dict() for s in studies]}
         common.print_json("convergence", values)

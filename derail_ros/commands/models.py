@@ -243,10 +243,8 @@ def joint_velocities(
         loaded = common.load(scenario, settings)
         name = loaded.title
         mass, lengths, inertia = train_bars(loaded.to_params())
-    try:
+    with common.refusing(ValueError):
         answer = solve(mass, lengths, inertia=inertia, impulse=impulse)
-    except ValueError as error:
-        raise CommandFailure(str(error)) from None
     bars = [
         {
             "bar": i + 1,

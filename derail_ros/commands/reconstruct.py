@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from derail_ros.commands import common
-from derail_ros.commands.common import INTERRUPTED, OK, CommandFailure, note
+from derail_ros.commands.common import INTERRUPTED, OK, note
 from derail_ros.commands.options import Jobs, Json, Seed, written
 
 if TYPE_CHECKING:
@@ -36,19 +36,14 @@ def run(
     from derail_ros.predict.reconstruct import EvidenceError, read_evidence, reconstruct
     from derail_ros.scenario.calibrated import load_calibrated
 
-    try:
+    with common.refusing(EvidenceError):
         known = read_evidence(evidence)
-    except EvidenceError as error:
-        raise CommandFailure(str(error)) from None
     if output is not None:
         output = common.output_directory(output)
-    try:
-        with common.counting_runs("reconstruct") as progress:
-            found = reconstruct(
-                known, load_calibrated(), draws=draws, seed=seed, jobs=jobs, progress=progress
-            )
-    except EvidenceError as error:
-        raise CommandFailure(str(error)) from None
+    with common.refusing(EvidenceError), common.counting_runs("reconstruct") as progress:
+        found = reconstruct(
+            known, load_calibrated(), draws=draws, seed=seed, jobs=jobs, progress=progress
+        )
     report = found.as_dict()
     if output is not None:
         common.write_json(output / "reconstruction.json", report)

@@ -135,12 +135,7 @@ def export(
     if form not in FORMATS:
         raise CommandFailure(f"--format: must be {' or '.join(FORMATS)}, got {form!r}")
     if form == "parquet":
-        try:
-            import pyarrow  # noqa: F401
-        except ImportError:
-            raise CommandFailure(
-                "--format parquet needs pyarrow: pip install 'derail_ros[studies]'"
-            ) from None
+        common.need_extra("--format parquet", "studies", "pyarrow")
     if members and not geo:
         raise CommandFailure("--members: only goes with --geo")
     found = read(bag, run, namespace)
@@ -166,11 +161,8 @@ def _export_maps(found: RecordedRun, output: Path, members: int) -> int:
         from derail_ros.studies.ensemble import ensemble_jobs, run_many
         from derail_ros.studies.members import Members
 
-        try:
+        with common.refusing(ScenarioError, at=f"{found.path}: its scenario cannot be read"):
             scenario = loads_scenario(yaml.safe_dump(found.scenario), found.name)
-        except ScenarioError as error:
-            reason = f"its scenario cannot be read: {error}"
-            raise CommandFailure(f"{found.path}: {reason}") from None
         common.warm_up()
         kept = Members()
         for result in run_many(ensemble_jobs(scenario, members)):
@@ -256,28 +248,26 @@ def animate(
         from derail_ros.review.film3d import Stage3D
 
         stage = Stage3D
-    try:
-        if output.suffix.lower() == ".png":
-            found = read(bag, run, namespace)
-            check_times(start, end, float(found.time[0]), float(found.time[-1]))
-            with bag_errors():
-                output.parent.mkdir(parents=True, exist_ok=True)
-                still(found, output, width, float(found.time[-1]) if end is None else end, stage)
-            print(output)
-            return OK
-        kind_of(output)
+    with common.refusing(FilmError):
+        picture = output.suffix.lower() == ".png"
+        if not picture:
+            kind_of(output)
         found = read(bag, run, namespace)
-        check_times(start, end, float(found.time[0]), float(found.time[-1]))
-        with bag_errors(), common.progress(*common.counting_columns()) as bars:
+        last = float(found.time[-1])
+        check_times(start, end, float(found.time[0]), last)
+        with bag_errors():
             output.parent.mkdir(parents=True, exist_ok=True)
+            if picture:
+                still(found, output, width, last if end is None else end, stage)
+                print(output)
+                return OK
+        with bag_errors(), common.progress(*common.counting_columns()) as bars:
             task = bars.add_task(output.name, total=None)
 
             def tell(done: int, total: int) -> None:
                 bars.update(task, completed=done, total=total)
 
             count = film(found, output, fps, rate, width, start, end, tell, stage)
-    except FilmError as error:
-        raise CommandFailure(str(error)) from None
     print(f"{output}: {count} pictures, {output.stat().st_size / 1e6:.1f} MB")
     return OK
 
@@ -289,10 +279,7 @@ def view3d(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
 ) -> int:
     """Show a recording in three dimensions in the browser."""
-    try:
-        import viser  # noqa: F401
-    except ImportError:
-        raise CommandFailure("view3d needs viser: pip install 'derail_ros[spatial]'") from None
+    common.need_extra("view3d", "spatial", "viser")
     from derail_ros.review.view3d import View
 
     view = View(read(bag, run, namespace), port)
@@ -320,12 +307,7 @@ def export_world(
     if form not in FORMATS:
         raise CommandFailure(f"--format: must be {', '.join(FORMATS)}, got {form!r}")
     if form == "gltf":
-        try:
-            import trimesh  # noqa: F401
-        except ImportError:
-            raise CommandFailure(
-                "--format gltf needs trimesh: pip install 'derail_ros[spatial]'"
-            ) from None
+        common.need_extra("--format gltf", "spatial", "trimesh")
     found = read(bag, run, namespace)
     last = float(found.time[-1])
     if at is not None and not float(found.time[0]) <= at <= last:
@@ -441,10 +423,8 @@ def replay(
     if other:
         note("derail: computed by another version of the engine: the last bits may differ")
     common.warm_up()
-    try:
+    with common.refusing(ScenarioError, ParameterError, KeyError, TypeError, IndexError, at=bag):
         results = recompute(manifest, recorded)
-    except (ScenarioError, ParameterError, KeyError, TypeError, IndexError) as error:
-        raise CommandFailure(f"{bag}: {error}") from None
     same = not any(result.differences for result in results)
     if as_json:
         common.print_json(
@@ -509,12 +489,12 @@ def _found(path: Path) -> tuple[Manifest, dict[str, RunMessages] | None]:
 def _manifest(path: Path) -> Manifest:
     from derail_ros.recording.manifest import Manifest
 
-    try:
+    wrong = (ValueError, TypeError, KeyError, AttributeError)
+    with (
+        common.refusing(OSError, at=path),
+        common.refusing(*wrong, at=f"{path}: not the manifest of a recording"),
+    ):
         return Manifest.from_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CommandFailure(f"{path}: {error.strerror or error}") from None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise CommandFailure(f"{path}: not the manifest of a recording: {error}") from None
 
 
 def _recomputed(result: Any) -> str:

@@ -82,10 +82,8 @@ def run(
     if output is not None:
         output = common.output_directory(output)
     common.warm_up(params.model)
-    try:
+    with common.refusing(ParameterError, at=loaded.name):
         simulation = engines.build(params)
-    except ParameterError as error:
-        raise CommandFailure(f"{loaded.name}: {error}") from None
 
     records: list[Record] = []
     kept = None

@@ -20,7 +20,7 @@ Results = Annotated[Path, typer.Argument(help="Folder with the results of a stud
 
 
 def _need_extra() -> None:
-    common.need_extra("derail study", "pandas", "pyarrow", "scipy", "SALib")
+    common.need_extra("derail study", "studies", "pandas", "pyarrow", "scipy", "SALib")
 
 
 def run(
@@ -109,11 +109,9 @@ def report(results: Results, output: Annotated[Path, written("Folder for the pag
     from derail_ros.studies.page import write_report
 
     found = _results(results)
-    try:
+    with common.refusing(OSError, at=output):
         output.mkdir(parents=True, exist_ok=True)
         page = write_report(found, output)
-    except OSError as error:
-        raise CommandFailure(f"{output}: {error.strerror or error}") from None
     print(page)
     return OK
 
@@ -138,12 +136,10 @@ def listing(as_json: Json = False) -> int:
 def _results(folder: Path) -> StudyResults:
     from derail_ros.studies.results import StudyError, StudyResults
 
-    try:
+    with common.refusing(StudyError):
         results = StudyResults(folder)
         if not len(results.table):
             raise StudyError(f"{folder}: no run is finished yet")
-    except StudyError as error:
-        raise CommandFailure(str(error)) from None
     return results
 
 
