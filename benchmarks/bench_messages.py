@@ -35,15 +35,15 @@ track: {{rail_breaks: [0]}}
 """
 
 
-def measure(work: Callable[[], object], repeats: int = 7, number: int = 50) -> float:
+def measure(work: Callable[[], object], repeats: int = 7) -> float:
     """Median time of a call, us."""
     work()
     times = []
     for _ in range(repeats):
         began = time.perf_counter()
-        for _ in range(number):
+        for _ in range(50):
             work()
-        times.append((time.perf_counter() - began) / number)
+        times.append((time.perf_counter() - began) / 50)
     return 1e6 * statistics.median(times)
 
 

@@ -51,11 +51,11 @@ PARTS = {
 class Counters:
     """Cycles and calls of each kernel, in memory that compiled code writes to."""
 
-    def __init__(self, room: int = 200) -> None:
+    def __init__(self) -> None:
         import numpy as np
 
         self.names: list[str] = []
-        self.cells = np.zeros(2 * room + 1, dtype=np.int64)
+        self.cells = np.zeros(401, dtype=np.int64)
 
     def instrument(self, compile_plain: Any) -> Any:
         """A compiler of kernels that wraps those which stay separate."""

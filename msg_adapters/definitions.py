@@ -24,11 +24,11 @@ SOURCE = Path(__file__).resolve().parent.parent / "derail_msgs" / "msg"
 PACKAGE = "derail_msgs"
 
 
-def read_sources(folder: Path = SOURCE) -> dict[str, str]:
+def read_sources() -> dict[str, str]:
     """The ``.msg`` files of ``derail_msgs``: type name -> text."""
     return {
         f"{PACKAGE}/msg/{path.stem}": path.read_text(encoding="utf-8")
-        for path in sorted(folder.glob("*.msg"))
+        for path in sorted(SOURCE.glob("*.msg"))
     }
 
 

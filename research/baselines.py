@@ -515,10 +515,11 @@ def gracie_table() -> Table:
     return Table(heads, rows)
 
 
-def many_trains(n: int = 10_000) -> str:
+def many_trains() -> str:
     """Many trains through the blockage model at once, timed."""
     from derail_ros.baselines.blockage import blockage
 
+    n = 10_000
     rng = np.random.default_rng(0)
     speed, cars = rng.uniform(10.0 / 3.6, 120.0 / 3.6, n), rng.integers(10, 151, n)
     began = time.perf_counter()

@@ -47,25 +47,19 @@ class Impact:
     depth_m: float  # how far a corner gets inside
 
 
-def impact(
-    speed_kmh: float,
-    striking: float = STRIKING,
-    standing: float = STANDING,
-    contact: ContactParams | None = None,
-) -> Impact:
+def impact(speed_kmh: float, contact: ContactParams | None = None) -> Impact:
     """The impact of a car on standing cars.
 
     Parameters
     ----------
     speed_kmh : speed of the striking car, km/h
-    striking, standing : masses, kg
     contact : the law's constants; the model's by default
     """
     if not speed_kmh > 0.0:
         raise ValueError(f"speed_kmh must be positive, got {speed_kmh}")
     c = ContactParams() if contact is None else contact
     form, even = GAP_LAWS[c.gap_law], INSIDE[c.inside]
-    mass = striking * standing / (striking + standing)
+    mass = STRIKING * STANDING / (STRIKING + STANDING)
 
     def force(x: float, v: float) -> float:
         push = gap_force(x, c.force_max, c.half_distance, c.buffer, form, even)

@@ -14,6 +14,7 @@ from derail_ros.review.scene import make_scene, scene_from_simulation
 from derail_ros.scenario import load_scenario
 from derail_ros.studies.ensemble import ensemble_jobs, gather
 from derail_ros.studies.published import load_published
+from derail_ros.vocabulary.status import CERTAIN_RUPTURE_FORCE
 
 if TYPE_CHECKING:
     from derail_ros.review.scene import Scene
@@ -71,9 +72,9 @@ class Details:
     final: Scene
     summary: str  # the first member's outcome in a line
 
-    def share_above(self, force: float = 10e6) -> NDArray[np.float64]:
-        """(cars,) share of runs in which a car was struck above ``force``."""
-        return (self.force > force).mean(axis=0)
+    def share_above_10MN(self) -> NDArray[np.float64]:
+        """(cars,) share of runs in which a car was struck above 10 MN."""
+        return (self.force > CERTAIN_RUPTURE_FORCE).mean(axis=0)
 
 
 def details(

@@ -154,7 +154,7 @@ def peaks_by_car(details: Details, published: PublishedDetails, title: str) -> F
     axes.set_xticks(cars)
     axes.set_xlabel("car")
     axes.set_ylabel("largest force at a corner, MN")
-    share = details.share_above()[:last]
+    share = details.share_above_10MN()[:last]
     for car in cars:
         above = car in published.above
         axes.text(

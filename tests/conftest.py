@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import cProfile
+import json
 import signal
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -33,6 +34,32 @@ def calls() -> Callable[[Callable[[], Any]], int]:
         return sum(entry.callcount for entry in profile.getstats())
 
     return count
+
+
+class Answer(NamedTuple):
+    """What a command answered."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """The answer to ``--json``."""
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def derail(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """The command line as a function of its arguments."""
+    from derail_ros.cli import main
+
+    def call(*arguments: object) -> Answer:
+        capsys.readouterr()
+        code = main([str(a) for a in arguments])
+        return Answer(code, *capsys.readouterr())
+
+    return call
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

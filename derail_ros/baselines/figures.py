@@ -28,6 +28,7 @@ from derail_ros.review.drawing import (
 from derail_ros.review.plots import apart
 from derail_ros.studies.drawing import ORANGE, with_bars
 from derail_ros.vocabulary.measures import MEASURES
+from derail_ros.vocabulary.params import PLANAR
 from derail_ros.vocabulary.status import AT_REST
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from derail_ros.review.scene import Scene
 
 LINES: dict[str, tuple[str, str, str]] = {
-    "planar": (BLUE, "-", "o"),
+    PLANAR: (BLUE, "-", "o"),
     "yang-manos": (ORANGE, "-", "s"),
     "anderson": (GREEN, "-", "^"),
     "roorda-gracie": ("#cc79a7", "-", "D"),
@@ -157,7 +158,7 @@ def _draw_counts(
     axes: Axes, counts: Mapping[str, float], plane: set[str], published: float | None
 ) -> None:
     at = np.arange(len(counts))
-    colours = [BLUE if m == "planar" else ("#7cc3ee" if m in plane else "#c9c9c9") for m in counts]
+    colours = [BLUE if m == PLANAR else ("#7cc3ee" if m in plane else "#c9c9c9") for m in counts]
     axes.barh(at, list(counts.values()), color=colours, edgecolor=INK, linewidth=0.6, height=0.68)
     longest = max([*counts.values(), published or 0.0, 1.0])
     for y, value in zip(at, counts.values(), strict=True):
@@ -208,7 +209,7 @@ def by_speed_figure(
     for (name, points), dash in zip(lines, dashes, strict=False):
         curves.append((name, points, FAINT, dash, ""))
     for name, points, colour, line, mark in curves:
-        thick = 2.2 if name == "planar" else 1.4
+        thick = 2.2 if name == PLANAR else 1.4
         axes.plot(*zip(*points, strict=True), color=colour, ls=line, marker=mark, ms=6, lw=thick)
     if published:
         axes.plot(*zip(*published, strict=True), ls="", marker="*", ms=15, mfc="white",

@@ -22,6 +22,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
+from derail_ros.vocabulary.shapes import HALF_GAUGE
 from derail_ros.vocabulary.status import CERTAIN_RUPTURE_FORCE, RUPTURE_FORCE
 
 if TYPE_CHECKING:
@@ -221,7 +222,11 @@ def within(window: Window, x: float, y: float) -> bool:
     return window[0] < x < window[1] and window[2] < y < window[3]
 
 
-def site(scene: Scene, margin: float = 7.0, reach: float = 40.0, cars: int = 8) -> Window:
+MARGIN = 7.0
+"""Around what is shown, m."""
+
+
+def site(scene: Scene, margin: float = MARGIN, reach: float = 40.0, cars: int = 8) -> Window:
     """Window around the derailed cars, the breaks near them and the front half of the next car.
 
     Parameters
@@ -244,7 +249,7 @@ def site(scene: Scene, margin: float = 7.0, reach: float = 40.0, cars: int = 8) 
     return window_of(np.concatenate([points, near]), margin)
 
 
-def with_areas(window: Window, scene: Scene, margin: float = 7.0) -> Window:
+def with_areas(window: Window, scene: Scene) -> Window:
     """The window grown to the areas beside it: cars in none of them is an answer too.
 
     An area further away than the window is long, or than 100 m, is left out, and of one that
@@ -259,10 +264,10 @@ def with_areas(window: Window, scene: Scene, margin: float = 7.0) -> Window:
         if shape.role != "area":
             continue
         if all(within(far, *p) for p in shape.points):
-            taken += [shape.points - margin, shape.points + margin]
+            taken += [shape.points - MARGIN, shape.points + MARGIN]
         elif len(near := _seen(shape.points, far)) and not len(_seen(shape.points, window)):
             apart = np.linalg.norm(near - middle, axis=1)
-            taken += [near[[apart.argmin()]] - margin, near[[apart.argmin()]] + margin]
+            taken += [near[[apart.argmin()]] - MARGIN, near[[apart.argmin()]] + MARGIN]
     return window_of(np.concatenate(taken), 0.0)
 
 
@@ -394,9 +399,6 @@ def break_labels(axes: Axes, scene: Scene, window: Window) -> tuple[list[Any], N
 
 # --- track -----------------------------------------------------------------------------------
 
-GAUGE = 1.435
-
-
 ZONE_FILL = "#efe6d2"
 FIXED_FILL = "#6b6259"
 AREA_LINE = "#3a7d44"
@@ -410,7 +412,7 @@ def draw_site(axes: Axes, scene: Scene, window: Window) -> None:
         look: dict[str, Any] = {"color": AREA_LINE, "lw": 1.2, "ls": (0, (5, 2)), "zorder": 0.4}
         if shape.role == "track":
             look = {"color": FAINT, "lw": 1.1, "zorder": 1}
-            for line in beside(shape.points, (-0.5 * GAUGE, 0.5 * GAUGE)):
+            for line in beside(shape.points, (-HALF_GAUGE, HALF_GAUGE)):
                 axes.plot(*line.T, **look)
         elif shape.role == "zone":
             axes.fill(x, y, facecolor=ZONE_FILL, edgecolor="#c9b88f", lw=0.8, zorder=0.2)
@@ -464,7 +466,7 @@ def draw_track(axes: Axes, scene: Scene, window: Window, points_per_metre: float
     """Rails, ties where they can be seen, and breaks; what stands beside them."""
     draw_site(axes, scene, window)
     line = scene.track
-    for rail in beside(line, (-0.5 * GAUGE, 0.5 * GAUGE)):
+    for rail in beside(line, (-HALF_GAUGE, HALF_GAUGE)):
         axes.plot(rail[:, 0], rail[:, 1], color=RAIL, lw=1.1, zorder=1)
     if points_per_metre > 4.0:
         step = np.linalg.norm(np.diff(line, axis=0), axis=1)

@@ -83,13 +83,17 @@ BEFORE = 0.25
 """How long before the contact its scene is drawn, s."""
 
 
-def main_collisions(run: RecordedRun, count: int = 4) -> list[Collision]:
+MOST_COLLISIONS = 4
+"""Collisions that are drawn."""
+
+
+def main_collisions(run: RecordedRun) -> list[Collision]:
     """The hardest collisions, of each pair of cars one; the hardest first."""
     chosen: dict[frozenset[int], Collision] = {}
     for c in by_severity(run):
         if min(c.car_a, c.car_b) >= 1 and max(c.car_a, c.car_b) <= run.n:
             chosen.setdefault(frozenset((c.car_a, c.car_b)), c)
-    return list(chosen.values())[:count]
+    return list(chosen.values())[:MOST_COLLISIONS]
 
 
 @styled

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from derail_ros.review.scene import scene_at
 from derail_ros.vocabulary import shapes
-from derail_ros.vocabulary.params import GRAVITY, GroundParams
+from derail_ros.vocabulary.params import GRAVITY, PLANAR, GroundParams
 from derail_ros.vocabulary.sample import quaternions
 from derail_ros.vocabulary.scene import car_corners
 from derail_ros.vocabulary.shapes import Part, gravity_height, kind_of, parts
@@ -76,9 +76,9 @@ def places(run: RecordedRun, found: list[Body], time: float) -> tuple[F64, F64]:
     return place, quaternions(pose)[:, [3, 0, 1, 2]]
 
 
-def rails(run: RecordedRun, left: float, right: float, step: float = 5.0) -> F64:
+def rails(run: RecordedRun, left: float, right: float) -> F64:
     """Pieces of the rails of all tracks, the main one between two coordinates: (pieces, 2, 3)."""
-    s = np.arange(left, right + step, step)
+    s = np.arange(left, right + 5.0, 5.0)
     points = np.array([run.line.point(float(at)) for at in s])
     return np.concatenate(
         [_rails(points[:, :2], points[:, 2])]
@@ -128,7 +128,7 @@ def bed(run: RecordedRun, left: float, right: float) -> list[Slab]:
 
     Only where the model has one: cars of the planar model lie at the height of the rails.
     """
-    if run.model == "planar":
+    if run.model == PLANAR:
         return []
     tall, slope = shapes.BED_HEIGHT, shapes.BED_SLOPE
     lean, thick, wide = np.arctan(slope), 0.4, tall * np.hypot(1.0, 1.0 / slope)
@@ -158,7 +158,7 @@ def bed(run: RecordedRun, left: float, right: float) -> list[Slab]:
 
 def ground_level(run: RecordedRun) -> float:
     """Height of the ground beside the track over the rail, m."""
-    return -shapes.RAIL_HEIGHT - (0.0 if run.model == "planar" else shapes.BED_HEIGHT)
+    return -shapes.RAIL_HEIGHT - (0.0 if run.model == PLANAR else shapes.BED_HEIGHT)
 
 
 def walls(run: RecordedRun) -> list[Slab]:
@@ -199,7 +199,7 @@ def slopes(run: RecordedRun) -> list[F64]:
     Only where the model follows heights. What lies below the ground is left out.
     """
     found: list[F64] = []
-    if run.model == "planar":
+    if run.model == PLANAR:
         return found
     ground = ground_level(run)
     for zone in run.site.zones:

@@ -219,15 +219,13 @@ class ConsistList:
         return scenario
 
 
-def read_consist_list(path: Path, stock: RollingStock | None = None) -> ConsistList:
+def read_consist_list(path: Path) -> ConsistList:
     """Read a consist list.
 
     Parameters
     ----------
     path
         CSV file with headings in its first line; commas, semicolons or tabs between columns.
-    stock
-        Car types; default: the library.
 
     Raises
     ------
@@ -245,7 +243,7 @@ def read_consist_list(path: Path, stock: RollingStock | None = None) -> ConsistL
     except UnicodeDecodeError:
         text = content.decode("cp1252", errors="replace")
     found = ConsistList(path.name, content)
-    _Reader(found, stock or load_rolling_stock()).read(text)
+    _Reader(found, load_rolling_stock()).read(text)
     return found
 
 

@@ -25,11 +25,6 @@ def is_path(text: str) -> bool:
     return os.sep in text or text.endswith(SUFFIXES)
 
 
-def rolling_stock_dir() -> Path:
-    """Folder of the shipped rolling stock."""
-    return config_dir() / "rolling_stock"
-
-
 def search_dirs(dirs: Iterable[str | os.PathLike[str]] | None) -> tuple[Path, ...]:
     """Folders in which names are looked up: the given ones first, then the shipped one."""
     return (*map(Path, dirs or ()), config_dir() / "scenarios")

@@ -6,8 +6,9 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
+from derail_ros.config_path import config_dir
 from derail_ros.scenario.errors import Refusal
-from derail_ros.scenario.files import read_text, rolling_stock_dir
+from derail_ros.scenario.files import read_text
 from derail_ros.scenario.messages import validated
 from derail_ros.scenario.schema import CarType, CarTypeFile, CouplerSpec, CouplerTypeFile
 from derail_ros.scenario.strict_yaml import Path as Place
@@ -23,8 +24,8 @@ class RollingStock:
     couplers: dict[str, CouplerSpec]
 
 
-def load_rolling_stock(folder: Path | None = None) -> RollingStock:
-    """Read every file of a rolling stock folder (default: the shipped one).
+def load_rolling_stock() -> RollingStock:
+    """Read every file of the shipped rolling stock.
 
     A file holds either ``car_types`` or ``coupler_types``. Files are read again when they change.
 
@@ -33,8 +34,8 @@ def load_rolling_stock(folder: Path | None = None) -> RollingStock:
     ScenarioError
         Naming the file, line and field of the first mistake.
     """
-    folder = rolling_stock_dir() if folder is None else folder
-    files = tuple((str(p), p.stat().st_mtime_ns) for p in sorted(folder.glob("*.yaml")))
+    found = sorted((config_dir() / "rolling_stock").glob("*.yaml"))
+    files = tuple((str(p), p.stat().st_mtime_ns) for p in found)
     return _load(files)
 
 

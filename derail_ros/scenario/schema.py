@@ -26,6 +26,7 @@ from pydantic import (
 )
 
 from derail_ros.vocabulary.params import (
+    PLANAR,
     BrakeParams,
     BrakeTrigger,
     BrakeUnit,
@@ -1066,7 +1067,7 @@ class ScenarioModel(Section):
     title: Title = _field(..., "what it is, in a line")
     description: Text = _field("", "longer description")
     source: Text = _field("", "source of the numbers")
-    model: TypeName = _field("planar", "model that computes the run; `derail models` lists them")
+    model: TypeName = _field(PLANAR, "model that computes the run; `derail models` lists them")
     constants: Literal["published", "calibrated"] | None = _field(
         None,
         "constants for fields that are not given: published (the thesis') or calibrated (learned "

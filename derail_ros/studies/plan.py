@@ -212,11 +212,6 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     return _study(path.stem, parse(content, str(path)), path.parent)
 
 
-def loads_study(text: str, name: str = "<inline>") -> Study:
-    """Load a study from YAML text; the scenario it names is a shipped one or a path."""
-    return _study(name, parse(text, name), None)
-
-
 def study_from(data: Mapping[str, Any], name: str = "study") -> Study:
     """A study from plain data, as a notebook writes it; version and title may be left out."""
     given = {"version": FORMAT_VERSION, "title": name, **copy.deepcopy(dict(data))}

@@ -53,13 +53,7 @@ def severity_index(
     return np.asarray((n / base_cars + f / base_peak_force + a / base_area) / 3.0)
 
 
-def severity(outcome: Outcome, base: Outcome | None = None) -> float:
-    """Severity of one outcome, see :func:`severity_index`; without a base against the source's."""
-    n0, f0, a0 = (
-        (BASE_CARS, BASE_PEAK_FORCE, BASE_AREA)
-        if base is None
-        else (base.cars_derailed, base.peak_force, base.scene_area)
-    )
-    return float(
-        severity_index(outcome.cars_derailed, outcome.peak_force, outcome.scene_area, n0, f0, a0)
-    )
+def severity(outcome: Outcome) -> float:
+    """Severity of one outcome against the source's base run, see :func:`severity_index`."""
+    own = (outcome.cars_derailed, outcome.peak_force, outcome.scene_area)
+    return float(severity_index(*own, BASE_CARS, BASE_PEAK_FORCE, BASE_AREA))

@@ -1,7 +1,6 @@
 """``derail simulate --model``, ``compare-models`` and ``joint-velocities``."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,20 +17,6 @@ SMALL = ("--set", "train.consist.0.count=10", "--set", "train.speed_kmh=30")
 KEYS = ["schema", "schema_version", "scenario", "title", "hash", "constants", "one_draw", "seed",
         "members", "void", "failed", "outcomes", "mean", "sd", "site", "model", "notes",
         "warnings", "limits", "inputs"]  # fmt: skip
-
-
-@pytest.fixture
-def derail(capsys):
-    from derail_ros.cli import main
-
-    def call(*arguments):
-        capsys.readouterr()
-        code = main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        value = json.loads(out) if "--json" in arguments and out else None
-        return SimpleNamespace(code=code, out=out, err=err, json=value)
-
-    return call
 
 
 @pytest.mark.parametrize("model", list(MODELS))

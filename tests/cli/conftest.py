@@ -1,7 +1,4 @@
-"""A short derailment to run, and the command line called as a function."""
-
-import json
-from types import SimpleNamespace
+"""A short derailment to run."""
 
 import pytest
 
@@ -32,18 +29,3 @@ def small(tmp_path):
     path = tmp_path / "small.yaml"
     path.write_text(SMALL, encoding="utf-8")
     return str(path)
-
-
-@pytest.fixture
-def derail(capsys):
-    """``derail(*arguments)`` -> exit code, stdout, stderr, parsed JSON."""
-    from derail_ros.cli import main
-
-    def call(*arguments):
-        capsys.readouterr()
-        code = main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        value = json.loads(out) if "--json" in arguments and out else None
-        return SimpleNamespace(code=code, out=out, err=err, json=value)
-
-    return call

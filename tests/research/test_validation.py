@@ -156,7 +156,7 @@ def made_up():
 
 
 def test_shares(made_up):
-    assert made_up.share_above()[3] == np.mean(made_up.force[:, 3] > 10e6)
+    assert made_up.share_above_10MN()[3] == np.mean(made_up.force[:, 3] > 10e6)
 
 
 def test_peaks_by_car(made_up):

@@ -5,7 +5,7 @@ import pytest
 from derail_ros.scenario import ScenarioError
 from derail_ros.studies import design as designs
 from derail_ros.studies.design import list_studies
-from derail_ros.studies.plan import load_study, loads_study, studies_dir, study_from
+from derail_ros.studies.plan import load_study, studies_dir, study_from
 
 HEAD = "version: 1\ntitle: T\nscenario: small\n"
 GRID = HEAD + "design: grid\n"
@@ -238,7 +238,7 @@ def test_unknown_studies_are_named():
         load_study("six_variation")
 
 
-def test_from_text_and_from_data_are_the_same():
+def test_from_text_and_from_data_are_the_same(load):
     text = """\
 version: 1
 title: study
@@ -252,7 +252,7 @@ parameters:
         "design": "one_at_a_time",
         "parameters": {"speed": {"path": "train.speed_kmh", "percent": [-10, 10]}},
     }
-    a, b = (designs.make(s) for s in (loads_study(text), study_from(data)))
+    a, b = (designs.make(s) for s in (load(text), study_from(data)))
     assert [p.columns for p in a] == [p.columns for p in b]
     assert [p.columns["speed"] for p in a] == [60, 54, 66]
 

@@ -8,21 +8,6 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
-from derail_ros.cli import main
-
-
-@pytest.fixture
-def derail(capsys):
-    def call(*arguments):
-        capsys.readouterr()
-        code = main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
-
 
 def test_run_show_and_report(derail, folder):
     place, page = folder / "out", folder / "page"
