@@ -53,7 +53,9 @@ def detector(made: Graph) -> Process:
 def test_a_detector_saves_cars(tmp_path) -> None:
     """Undetected, the train drags its truck over the break; detected, it stops before or on it."""
     with graph(tmp_path) as made:
-        made.simulator(scenario="", imu="5:front_truck", imu_noise=0.05, pipe_pressure="5")
+        # at low rates: each message takes computing time, and the run must keep its speed
+        sensors = {"imu": "5:front_truck", "imu_rate": 25.0, "imu_noise": 0.05}
+        made.simulator(scenario="", state_rate=10.0, pipe_pressure="5", **sensors)
         made.listen("outcome")
         without = derailed(made, speed_factor=0.0)
         process = detector(made)
