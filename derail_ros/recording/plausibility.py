@@ -6,6 +6,8 @@ has, or with lists of different lengths, is left out like one that cannot be dec
 
 from __future__ import annotations
 
+import functools
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -47,28 +49,47 @@ FREE = {"TrainEvent": ("cars",), "Consist": ("files",), "Outcome": ("derailed_ca
 """Lists of any length."""
 
 
-def is_plausible(kind: str, message: Any) -> bool:
-    """Whether a message (``derail_msgs/msg/<kind>``) can be that of a train."""
-    numbers: list[F64] = []
-    or_none: list[F64] = []
-    lengths: dict[str, int] = {}
-    for name, of in fields_of(message.__msgtype__):
-        value = getattr(message, name)
+@dataclass
+class _Fields:
+    """Fields of a kind of message: numbers and quantities, finite or perhaps NaN, and lists."""
+
+    finite: list[str] = field(default_factory=list)
+    or_nan: list[str] = field(default_factory=list)
+    finite_quantities: list[str] = field(default_factory=list)
+    quantities: list[str] = field(default_factory=list)
+    lists: list[tuple[str, str]] = field(default_factory=list)  # with the group of one length
+
+
+@functools.cache
+def _fields(kind: str, msgtype: str) -> _Fields:
+    found = _Fields()
+    for name, of in fields_of(msgtype):
         if of.startswith("float64"):
-            nan = name in MAY_BE_NAN.get(kind, ())
-            (or_none if nan else numbers).append(np.atleast_1d(value))
+            (found.or_nan if name in MAY_BE_NAN.get(kind, ()) else found.finite).append(name)
         if of == "derail_msgs/msg/Quantity[]":
             known = name in LEDGERS or kind == "Consist"
-            (numbers if known else or_none).extend(np.asarray(q.values) for q in value)
+            (found.finite_quantities if known else found.quantities).append(name)
         elif of.endswith("[]") and name not in FREE.get(kind, ()):
             group = next((g for g in GROUPS if name.startswith(g)), "")
-            if lengths.setdefault(group, len(value)) != len(value):
-                return False
+            found.lists.append((name, group))
+    return found
+
+
+def is_plausible(kind: str, message: Any) -> bool:
+    """Whether a message (``derail_msgs/msg/<kind>``) can be that of a train."""
+    fields = _fields(kind, message.__msgtype__)
+    lengths: dict[str, int] = {}
+    for name, group in fields.lists:
+        size = len(getattr(message, name))
+        if lengths.setdefault(group, size) != size:
+            return False
     # A comparison with NaN is false.
-    if not all((np.abs(values) <= LARGEST).all() for values in _joined(numbers)):
-        return False
-    if any((np.abs(values) > LARGEST).any() for values in _joined(or_none)):
-        return False
+    for values in _joined(message, fields.finite, fields.finite_quantities):
+        if not (np.abs(values) <= LARGEST).all():
+            return False
+    for values in _joined(message, fields.or_nan, fields.quantities):
+        if (np.abs(values) > LARGEST).any():
+            return False
     if any(not (getattr(message, name) > 0).all() for name in POSITIVE.get(kind, ())):
         return False
     if kind in ("TrainState", "Consist"):
@@ -88,5 +109,8 @@ def _is_outcome(message: Any) -> bool:
     return message.status_name in STATUSES and one_length and timed
 
 
-def _joined(values: list[F64]) -> list[F64]:
+def _joined(message: Any, numbers: list[str], quantities: list[str]) -> list[F64]:
+    """All numbers of these fields in one array; none without any."""
+    values = [np.atleast_1d(getattr(message, name)) for name in numbers]
+    values += [np.asarray(q.values) for name in quantities for q in getattr(message, name)]
     return [np.concatenate(values)] if values else []

@@ -175,7 +175,7 @@ class Stage:
             drawing.label(axes, "", (0.0, 0.0), (0, 9 * scale), zorder=13, **look)
             for _ in range(4)
         ]
-        self.moving = (*self.bodies, self.fronts, *self.numbers, self.stars, *self.forces,
+        self.moving = (*self.bodies.artists, self.fronts, *self.numbers, self.stars, *self.forces,
                        self.clock, self.facts)  # fmt: skip
 
     def _orient(self, scene: Scene, scale: float) -> None:
@@ -205,7 +205,8 @@ class Stage:
         run = self.run
         scene = scene_at(run, time)
         x0, x1, _, _ = self.window
-        drawing.move(self.bodies, self.fronts, scene)
+        self.bodies.move(scene)
+        self.fronts.set_verts(list(scene.fronts()[scene.real]))
         shown: list[tuple[float, float]] = []
         for text, (x, y) in zip(self.numbers, scene.pose[:, :2]):
             inside = drawing.within(self.window, x, y) and bool(text.get_text())

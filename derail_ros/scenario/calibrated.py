@@ -108,6 +108,7 @@ class Calibrated:
         order = np.random.default_rng([seed, turn]).permutation(len(self.draws))
         return self._at(order[at])
 
+    @functools.cached_property
     def central(self) -> Draw:
         """The draw nearest to the middle of all, used for a single run."""
         columns = [sorted(c) for c in zip(*self.draws)]

@@ -86,6 +86,6 @@ def chosen(resolved: Resolved) -> Resolved:
     if model.constants == "published" or not names:
         return resolved
     if not model.drawn:  # otherwise the values stand in the text
-        resolved = filled(resolved, names, load_calibrated().central())
+        resolved = filled(resolved, names, load_calibrated().central)
     update = {"constants": "calibrated", "drawn": names}
     return replace(resolved, model=resolved.model.model_copy(update=update))

@@ -196,7 +196,7 @@ class Scenario:
         if not one.model.drawn:
             return found
         known = load_calibrated()
-        draw = known.draw(member - 1, seed) if member else known.central()
+        draw = known.draw(member - 1, seed) if member else known.central
         for section, values in values_of(one._resolved, one.model.drawn, draw).items():
             found |= {f"{section}.{key}": value for key, value in values.items()}
         return found

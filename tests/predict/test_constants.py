@@ -48,7 +48,7 @@ def test_what_is_given_is_not_drawn() -> None:
 
 def test_the_brake_delay_counts_from_the_first_car_off() -> None:
     """The front truck, 4.93 m ahead of the middle, meets the break at 10 m after 0.30 s."""
-    draw = load_calibrated().central()
+    draw = load_calibrated().central
     own = loads_scenario(OWN)
     reached = (10.0 - 0.5 * 9.86) / (60 / 3.6)
     assert own.model.brakes.delay_s == pytest.approx(draw.delay(60 / 3.6) + reached)
