@@ -250,6 +250,11 @@ def site(scene: Scene, margin: float = MARGIN, reach: float = 40.0, cars: int = 
     return window_of(np.concatenate([points, near]), margin)
 
 
+def stage(scene: Scene) -> Window:
+    """Window of films and pages about the end of a run; all cars of a train on the rails."""
+    return site(scene, margin=9.0, reach=120.0, cars=len(scene.pose))
+
+
 def with_areas(window: Window, scene: Scene) -> Window:
     """The window grown to the areas beside it: cars in none of them is an answer too.
 

@@ -19,7 +19,6 @@ from PIL import Image
 
 from derail_ros.review import drawing
 from derail_ros.review.drawing import INK, STYLE, VERMILION
-from derail_ros.review.replay_page import site
 from derail_ros.review.scene import Scene, final_scene, scene_at
 from derail_ros.review.summary import NOTABLE
 from derail_ros.vocabulary import words
@@ -127,7 +126,7 @@ class Stage:
     def __init__(self, run: RecordedRun, width: int) -> None:
         self.run = run
         scene = final_scene(run)
-        window = site(scene)
+        window = drawing.stage(scene)
         aspect = float(np.clip((window[3] - window[2]) / (window[1] - window[0]), 0.3, 0.62))
         inches = 2 * round(width / 2) / DPI
         # Even numbers of pixels, which video wants.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from derail_ros.review import drawing, summary, web
 from derail_ros.review.plots import energy_parts, some
-from derail_ros.review.scene import Scene, final_scene
+from derail_ros.review.scene import final_scene
 from derail_ros.vocabulary.events import EventKind
 from derail_ros.vocabulary.ledger import ENERGY_ENTRIES
 from derail_ros.vocabulary.words import capital
@@ -143,7 +143,7 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
         "blob": base64.b64encode(blob).decode("ascii"),
         "cars": web.car_data(run.cars),
         "track": _track(run),
-        "site": list(site(final_scene(run))),
+        "site": list(drawing.stage(final_scene(run))),
         "place": web.place_data(run.site.shapes(run.line)),
         "off": _off(run),
         "parted": _parted(run),
@@ -165,11 +165,6 @@ def data(run: RecordedRun, facts: dict[str, Any]) -> dict[str, Any]:
 def _track(run: RecordedRun) -> dict[str, Any]:
     low, high = run.pose[..., 0].min(), run.pose[..., 0].max()
     return web.track_data(run.line, float(low) - 300.0, float(high) + 400.0)
-
-
-def site(scene: Scene) -> drawing.Window:
-    """What the page shows at first, m; all cars of a train on the rails."""
-    return drawing.site(scene, margin=9.0, reach=120.0, cars=len(scene.pose))
 
 
 def _off(run: RecordedRun) -> list[list[float | None]]:

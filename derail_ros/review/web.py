@@ -14,7 +14,6 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from derail_ros.recording.recorded_run import Cars, SampledLine
 from derail_ros.vocabulary.site import Shape
@@ -96,6 +95,8 @@ def track_data(line: SampledLine, low: float, high: float) -> dict[str, Any]:
         level = float(line.y[0]) if len(line.y) else 0.0
         x, y = [low, high], [level, level]
     else:
+        from scipy.interpolate import CubicSpline  # slow to load
+
         # Finer than it was recorded, so that curves look like curves.
         s = np.linspace(line.s[0], line.s[-1], min(4000, 4 * len(line.s)))
         x, y = (CubicSpline(line.s, p)(s).round(3).tolist() for p in (line.x, line.y))
