@@ -25,6 +25,7 @@ PAGES = {
     "trains": "the investigated trains that ship, in docs/accidents.md; NAMES: only these",
     "studies": "the studies that ship; NAMES: only these",
     "site": "walls, soft ground, placement and limits; NAMES: only these",
+    "scenarios": "fields, units, shipped scenarios and rolling stock of the scenario format",
     "parameters": "parameters and topics of the nodes; config/simulator.yaml too",
     "screenshots": "pictures of a final scene and of the replay page",
 }

@@ -61,7 +61,7 @@ class _Fields:
 
 
 @functools.cache
-def _fields(kind: str, msgtype: str) -> _Fields:
+def _sorted_fields(kind: str, msgtype: str) -> _Fields:
     found = _Fields()
     for name, of in fields_of(msgtype):
         if of.startswith("float64"):
@@ -77,7 +77,7 @@ def _fields(kind: str, msgtype: str) -> _Fields:
 
 def is_plausible(kind: str, message: Any) -> bool:
     """Whether a message (``derail_msgs/msg/<kind>``) can be that of a train."""
-    fields = _fields(kind, message.__msgtype__)
+    fields = _sorted_fields(kind, message.__msgtype__)
     lengths: dict[str, int] = {}
     for name, group in fields.lists:
         size = len(getattr(message, name))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from derail_ros.scenario.errors import ScenarioError as ScenarioError
-    from derail_ros.scenario.reference import json_schema as json_schema
+    from derail_ros.scenario.json_format import json_schema as json_schema
     from derail_ros.scenario.rolling_stock import RollingStock as RollingStock
     from derail_ros.scenario.rolling_stock import load_rolling_stock as load_rolling_stock
     from derail_ros.scenario.scenario import Scenario as Scenario
@@ -26,7 +26,7 @@ _HOMES = {
     "ScenarioError": "errors",
     "RollingStock": "rolling_stock",
     "load_rolling_stock": "rolling_stock",
-    "json_schema": "reference",
+    "json_schema": "json_format",
     "Scenario": "scenario",
     "ScenarioInfo": "scenario",
     "list_scenarios": "scenario",

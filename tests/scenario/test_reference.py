@@ -10,11 +10,12 @@ import jsonschema
 import pytest
 
 from derail_ros.scenario import json_schema, list_scenarios, load_scenario, loads_scenario
-from derail_ros.scenario.reference import fill
 from derail_ros.scenario.schema import ScenarioModel, Section
 from derail_ros.scenario.strict_yaml import parse
 from derail_ros.scenario.units import unit_of
 from derail_ros.vocabulary import params as engine
+from research import scenarios
+from research.pages import fill
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scenarios.md"
@@ -30,7 +31,8 @@ def models(model=ScenarioModel):
 
 def test_page_is_in_step():
     text = PAGE.read_text(encoding="utf-8")
-    assert fill(text) == text, "run: python -m derail_ros.scenario.reference docs/scenarios.md"
+    tables = {name: make() for name, make in scenarios.TABLES.items()}
+    assert fill(text, tables) == text, "run: python -m research scenarios"
 
 
 def test_examples_of_the_page_load():
