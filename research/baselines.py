@@ -501,7 +501,7 @@ def joints_table() -> Table:
 
 def gracie_table() -> Table:
     """Growth of an error in Gracie's model of 1991, over the increment of time."""
-    from derail_ros.baselines.gracie import advance, growth, least_increment
+    from research.gracie import advance, growth, least_increment
 
     row, spring = np.full(10, 68e3), 3.15e6
     force = np.zeros(10)

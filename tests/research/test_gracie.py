@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from derail_ros.baselines.gracie import advance, frequencies, growth, least_increment
 from derail_ros.baselines.train import ModelError
+from research.gracie import advance, frequencies, growth, least_increment
 
 CAR, SPRING = 68e3, 3.15e6
 ROW = np.full(6, CAR)
