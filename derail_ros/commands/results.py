@@ -256,7 +256,7 @@ def _one_run(record: Record, groups: Sequence[str], constants: str) -> Table:
     numbers = percentages([share for _, share in large])
     if large:
         parts = (f"{words} {n} %" for (words, _), n in zip(large, numbers))
-        rows.append(("stopped by (share of energy)", ", ".join(parts)))
+        rows.append(("stopped by (share of energy)", ",\n".join(parts)))
     if record.get("peak_force_pair"):
         a, b = record["peak_force_pair"]
         hard = f"struck hardest, {force(record['peak_force_N'])} by car {a}"

@@ -130,10 +130,12 @@ def run(
 
 def _limits(simulation: Simulation, records: Sequence[Record]) -> list[str]:
     """Limits of the first run, and of the forces in the train of all of them."""
-    from derail_ros.vocabulary.limits import limits, train_force_limits
+    from derail_ros.vocabulary.limits import late_brakes, limits, train_force_limits
     from derail_ros.vocabulary.measures import counted
 
-    found = limits(simulation.outcome(), simulation.track) if "error" not in records[0] else []
+    found = []
+    if "error" not in records[0]:
+        found = limits(simulation.outcome(), simulation.track) + late_brakes(simulation.events)
     good = [record for record in records if counted(record)]
     forces = ([r[key] or math.nan for r in good] for key in ("max_draft_N", "max_buff_N"))
     return found + train_force_limits(*forces, simulation.params.couplings.breaks)

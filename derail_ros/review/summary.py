@@ -16,7 +16,7 @@ import derail_ros
 from derail_ros.vocabulary import words
 from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.ledger import shares, stopped_by
-from derail_ros.vocabulary.limits import limits, train_force_limits
+from derail_ros.vocabulary.limits import late_brakes, limits, train_force_limits
 from derail_ros.vocabulary.measures import NUMERICS, outcome_record, shown_rows
 from derail_ros.vocabulary.site import site_rows
 from derail_ros.vocabulary.status import AT_REST
@@ -268,7 +268,8 @@ def _limits(run: RecordedRun) -> list[str]:
     draft, buff = ([run.outcome.largest(which)[0]] for which in ("draft", "buff"))
     couplers = run.scenario.get("couplers") or {}
     breaks = any(couplers.get(f"{part}_strength_N") for part in ("knuckle", "body"))
-    return limits(run.outcome, run.line) + train_force_limits(draft, buff, breaks)
+    found = limits(run.outcome, run.line) + late_brakes(run.events)
+    return found + train_force_limits(draft, buff, breaks)
 
 
 # --- text ------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ ENERGY_ENTRIES: dict[str, EnergyEntry] = {
         EnergyEntry("slopes", TAKEN, "slopes beside the track"),
         EnergyEntry("collisions", TAKEN, "collisions between cars"),
         EnergyEntry("fixed_bodies", TAKEN, "walls and other fixed bodies"),
-        EnergyEntry("striker_dampers", TAKEN, "draft gear"),
+        EnergyEntry("striker_dampers", TAKEN, "damping of the strikers"),
         EnergyEntry("suspension_dampers", TAKEN, "trucks and rails"),
         EnergyEntry("guidance", TAKEN, "rails beside derailed trucks"),
         EnergyEntry("draft_gear_friction", TAKEN, "friction of the draft gear"),

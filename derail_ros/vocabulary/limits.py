@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+from derail_ros.vocabulary.events import Event, EventKind
 from derail_ros.vocabulary.outcome import Outcome
 from derail_ros.vocabulary.scene import Line
 from derail_ros.vocabulary.words import cars, count, force
@@ -18,6 +19,26 @@ KNUCKLE = 2.89e6
 """Tension that a knuckle has to bear in the static test of AAR M-211, N."""
 SILL = 4.45e6
 """Compression that a car body has to bear in the static test of AAR M-1001, 1 000 000 lbf, N."""
+
+LATE = 10.0
+"""Brakes that begin later than this after the first derailment are told of, s; a choice."""
+
+
+def late_brakes(events: Iterable[Event]) -> list[str]:
+    """A sentence where the brakes waited long for a coupling to part, mostly none."""
+    derailed = math.nan
+    for event in events:
+        if event.kind == EventKind.TRUCK_DERAILED and math.isnan(derailed):
+            derailed = event.time
+        elif event.kind == EventKind.BRAKES_TRIGGERED:
+            if event.cause == "vented" and event.time > derailed + LATE:
+                return [
+                    f"the emergency brakes began {event.time - derailed:.1f} s after the first "
+                    "derailment: no coupling parted before, and nothing else made an emergency "
+                    "(brakes.signal_source, brakes.triggers)"
+                ]
+            return []
+    return []
 
 
 def train_force_limits(

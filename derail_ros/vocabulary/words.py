@@ -55,21 +55,28 @@ def place(x: float, y: float) -> str:
     return f"x = {coordinate(x)} m, y = {coordinate(y)} m" if math.isfinite(x) else ""
 
 
-def number_list(numbers: Iterable[int]) -> str:
-    """``1 to 5, 8`` for 1, 2, 3, 4, 5, 8; ``none`` for an empty list."""
+def _ranges(numbers: Iterable[int]) -> list[str]:
     groups: list[list[int]] = []
     for number in numbers:
         if groups and number == groups[-1][1] + 1:
             groups[-1][1] = number
         else:
             groups.append([number, number])
-    parts = [f"{a}" if a == b else f"{a}, {b}" if b == a + 1 else f"{a} to {b}" for a, b in groups]
-    return ", ".join(parts) or "none"
+    return [
+        part
+        for a, b in groups
+        for part in ([f"{a} to {b}"] if b > a + 1 else map(str, range(a, b + 1)))
+    ]
+
+
+def number_list(numbers: Iterable[int]) -> str:
+    """``1 to 5, 8`` for 1, 2, 3, 4, 5, 8; ``none`` for an empty list."""
+    return ", ".join(_ranges(numbers)) or "none"
 
 
 def cars(numbers: Sequence[int]) -> str:
-    """``car 3``, ``cars 1 to 5``."""
-    return f"car{'' if len(numbers) == 1 else 's'} {number_list(numbers)}"
+    """``car 3``, ``cars 1 to 5 and 8``, for a sentence."""
+    return f"car{'' if len(numbers) == 1 else 's'} {joined(_ranges(numbers)) or 'none'}"
 
 
 def joined(parts: Sequence[str]) -> str:

@@ -416,7 +416,7 @@ def test_numbers_in_a_film_can_be_read(run, monkeypatch, metres, width) -> None:
     """At any scale of the site: none under 10 pixels at the usual widths, none on another."""
     x, y = run.pose[-1, :, :2].mean(axis=0)
     window = (x - metres / 2, x + metres / 2, y - metres / 4, y + metres / 4)
-    monkeypatch.setattr(film, "site", lambda scene: window)
+    monkeypatch.setattr(film.drawing, "stage", lambda scene: window)
     stage = film.Stage(run, width)
     stage.picture(float(run.time[-1]))
     shown = [t for t in stage.numbers if t.get_visible()]

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from derail_ros.recording.recorded_run import SampledLine
-from derail_ros.vocabulary.limits import limits, train_force_limits
+from derail_ros.vocabulary.events import Event, EventKind
+from derail_ros.vocabulary.limits import late_brakes, limits, train_force_limits
 from derail_ros.vocabulary.outcome import Outcome, StandingOutcome
 from derail_ros.vocabulary.site import SiteOutcome, Struck
 
@@ -26,7 +27,7 @@ def test_a_pile_on_the_straight_has_no_limits() -> None:
 def test_cars_that_were_dragged_in_line() -> None:
     pile = [(30.0, 3.0, 60.0), (15.0, 0.5, 2.0), (0.0, 0.5, 184.0), (-15.0, 0.2, -4.9)]
     (said,) = limits(outcome(*pile), SampledLine())
-    assert said.startswith("cars 2, 4 are off the rails but in line with the track; they count")
+    assert said.startswith("cars 2 and 4 are off the rails but in line with the track; they count")
     assert limits(outcome((0.0, 1.6, 0.0)), SampledLine()) == [], "beside the track"
 
 
@@ -55,6 +56,22 @@ def test_in_a_curve_headings_are_those_of_the_track() -> None:
     assert dragged.startswith("car 1 is off the rails but in line")
     (curve,) = limits(outcome((x, y, 0.0)), line)
     assert "a curve of 250 m radius" in curve
+
+
+def test_brakes_that_waited_for_a_coupling_to_part() -> None:
+    first = Event(EventKind.TRUCK_DERAILED, 0.5, 1, (3,))
+    later = Event(EventKind.TRUCK_DERAILED, 9.0, 1, (4,))
+    signal = Event(EventKind.BRAKE_SIGNAL_REACHED, 20.0, 1, (2,))
+
+    def brakes(time: float, cause: str = "vented") -> Event:
+        return Event(EventKind.BRAKES_TRIGGERED, time, 1, cause=cause)
+
+    (said,) = late_brakes([first, later, brakes(15.7), signal, brakes(19.0)])
+    assert said.startswith("the emergency brakes began 15.2 s after the first derailment")
+    assert late_brakes([first, brakes(6.0), later, brakes(19.0)]) == []
+    assert late_brakes([brakes(0.0, "conventional from the front"), first, brakes(19.0)]) == []
+    assert late_brakes([first, later, brakes(15.7, "command: all cars at once")]) == []
+    assert late_brakes([brakes(15.7), first]) == late_brakes([first]) == late_brakes([]) == []
 
 
 def test_forces_that_couplers_and_cars_do_not_bear() -> None:
