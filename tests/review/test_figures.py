@@ -298,7 +298,7 @@ def test_peak_forces_leaves_out_cars_far_from_the_trouble_and_says_so():
         peaks(force, np.ones(74, dtype=int), np.zeros(74), derailed=range(31, 41))
     )
     assert drawn.axes[0].get_xlim() == pytest.approx((28.3, 42.7))
-    assert any("cars 1 to 28, 43 to 74" in t for t in texts(drawn))
+    assert any("cars 1 to 28 and 43 to 74" in t for t in texts(drawn))
 
 
 def test_peak_forces_without_collisions():
