@@ -119,28 +119,40 @@ class Sensor(ABC):
 
 
 class Odometry(Sensor):
-    """``nav_msgs/Odometry``: pose of the car's frame in the inertial one, velocity in its own."""
+    """``nav_msgs/Odometry``: pose of the car's frame in the inertial one, velocity in its own.
+
+    ``noise`` is that of the position, m each way, ``speed_noise`` that of the velocity, m/s each
+    way. Orientation and rates have none.
+    """
 
     msgtype = SENSOR_TOPICS["odometry"].msgtype
 
-    def __init__(self, mount: Mount) -> None:
+    def __init__(self, mount: Mount, speed_noise: float = 0.0) -> None:
         super().__init__(mount, "odometry")
+        self._speed_noise = speed_noise
 
     def _message(self) -> Any:
         pose = message_class("geometry_msgs/msg/Pose")
         point = message_class("geometry_msgs/msg/Point")(*(SENTINEL,) * 3)
         twist = message_class("geometry_msgs/msg/Twist")(vector(), vector())
-        zero = np.zeros(36)
+
+        def covariance(noise: float) -> NDArray[np.float64]:
+            return np.diag([noise**2] * 3 + [0.0] * 3).reshape(-1)
+
+        placed, moving = covariance(self.noise), covariance(self._speed_noise)
         return message_class(self.msgtype)(
             marked_header(self.context.frame_id),
             self.frame,
-            message_class("geometry_msgs/msg/PoseWithCovariance")(pose(point, quaternion()), zero),
-            message_class("geometry_msgs/msg/TwistWithCovariance")(twist, zero),
+            message_class("geometry_msgs/msg/PoseWithCovariance")(
+                pose(point, quaternion()), placed
+            ),
+            message_class("geometry_msgs/msg/TwistWithCovariance")(twist, moving),
         )
 
     def __call__(self, sample: Sample) -> bytes:
         velocity, _, rates = self._in_car(sample)
-        place, turn = self._motion(sample).place[0], sample.quaternions[self.car]
+        place, turn = self._noisy(self._motion(sample).place[0]), sample.quaternions[self.car]
+        velocity = self._noisy(velocity, self._speed_noise)
         return self._bytes(sample, [*place, *turn, *velocity, *rates])
 
 

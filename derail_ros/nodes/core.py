@@ -227,8 +227,13 @@ class SimulatorCore:
             self._begin(prepared, EventKind.RUN_LOADED)
             wanted = State.PAUSED if request["start_paused"] else State.PLAYING
             self._go(wanted if state is None else state)
-            cars = prepared.simulation.params.n_train
-            return f"loaded {prepared.name}: {cars} cars, run {self.run_id}"
+            params = prepared.simulation.params
+            told = f"loaded {prepared.name}: {params.n_train} cars, run {self.run_id}"
+            began = params.initiation
+            pushed = any(push.force for push in began.lateral_forces)
+            if params.track.rail_breaks or began.derailed_trucks or pushed:
+                return told
+            return f"{told}; no rail is broken and nothing pushes it: see ~/inject_rail_break"
 
         return self._serve(Request("load_consist", request, caller, service), act)
 

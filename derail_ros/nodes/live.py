@@ -171,7 +171,7 @@ class LiveMessages:
                 rng = np.random.default_rng([settings.sensor_seed, number, car])
                 mount = sensors.Mount(car, params, context, prefix, noise, rng)
                 if name == "odometry":
-                    yield rate, sensors.Odometry(mount)
+                    yield rate, sensors.Odometry(mount, settings.odometry_speed_noise)
                 elif name == "imu":
                     turn_noise = settings.imu_turn_noise
                     yield rate, sensors.Imu(mount, place or "body", turn_noise)

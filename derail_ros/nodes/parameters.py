@@ -144,7 +144,11 @@ STORAGE = Parameter(
 
 CARS = r"(all|[1-9]\d{0,3}(-[1-9]\d{0,3})?)"
 SENSORS: dict[str, dict[str, Any]] = {
-    "odometry": {"what": "pose and velocity (nav_msgs/Odometry)", "rate": 50.0},
+    "odometry": {
+        "what": "pose and velocity (nav_msgs/Odometry); the noise is that of the position",
+        "rate": 50.0,
+        "unit": "m",
+    },
     "imu": {
         "what": "acceleration and angular rates (sensor_msgs/Imu) at a place of the car, such as "
         "`20:front_truck`; places: `body` (the default), `front_truck`, `rear_truck`",
@@ -294,6 +298,14 @@ SIMULATOR = (
         read_only=True,
     ),
     *(parameter for sensor in SENSORS for parameter in _sensor(sensor, **SENSORS[sensor])),
+    Parameter(
+        "odometry_speed_noise",
+        0.0,
+        "standard deviation of the noise of the velocity",
+        "m/s",
+        (0.0, 1e3),
+        read_only=True,
+    ),
     Parameter(
         "imu_turn_noise",
         0.0,

@@ -177,6 +177,14 @@ def test_who_comes_while_nothing_moves_gets_the_last_measurement(began) -> None:
     assert got and set(got) == {("car_1/imu_body", before["car_1/imu_body"])}
 
 
+def test_a_train_that_nothing_derails_is_told_what_does() -> None:
+    bench = Bench()
+    assert bench.load(ENDLESS).message.endswith("nothing pushes it: see ~/inject_rail_break")
+    for more in ("track: {rail_breaks: [50]}", "initiation: {derailed_trucks: [{car: 1, truck: front}]}"):
+        text = ENDLESS.split("initiation:")[0] + more + "\n"
+        assert "inject_rail_break" not in bench.load(text).message, more
+
+
 # --- states ----------------------------------------------------------------------------------
 
 
@@ -392,6 +400,28 @@ def test_noise_has_the_size_that_the_covariance_tells() -> None:
     again.run(0.1)
     first = measured(again, "car_1/imu_body")[0].linear_acceleration
     assert first.x == found[0].linear_acceleration.x
+
+
+def test_odometry_has_noise_of_place_and_of_velocity() -> None:
+    exact, noisy = (Bench(odometry="1", odometry_rate=2000.0, **more) for more in
+                    ({}, {"odometry_noise": 0.5, "odometry_speed_noise": 0.1}))  # fmt: skip
+    found = []
+    for bench in (exact, noisy):
+        bench.load(ENDLESS)
+        bench.run(1.0)
+        found.append(measured(bench, "car_1/odometry"))
+    place, velocity = (
+        np.array([[getattr(of(b), k) - getattr(of(a), k) for k in "xyz"] for a, b in zip(*found)])
+        for of in (lambda m: m.pose.pose.position, lambda m: m.twist.twist.linear)
+    )
+    # The standard deviation of 6000 draws is known to 1 %.
+    assert place.std() == pytest.approx(0.5, rel=0.06) and abs(place.mean()) < 0.03
+    assert velocity.std() == pytest.approx(0.1, rel=0.06) and abs(velocity.mean()) < 0.006
+    assert list(np.diag(found[1][0].pose.covariance.reshape(6, 6))) == [0.25] * 3 + [0.0] * 3
+    speeds = np.diag(found[1][0].twist.covariance.reshape(6, 6))
+    assert speeds == pytest.approx([0.01] * 3 + [0.0] * 3)
+    assert not found[0][0].pose.covariance.any() and not found[0][0].twist.covariance.any()
+    assert found[0][9].pose.pose.orientation == found[1][9].pose.pose.orientation
 
 
 def ecef(latitude: float, longitude: float, altitude: float) -> np.ndarray:
