@@ -22,7 +22,7 @@ from derail_ros.models import engine_hash
 from derail_ros.predict import release
 from derail_ros.predict.emulator import Emulator
 from derail_ros.predict.runs import OUTPUTS, group_of, members, runs_of
-from derail_ros.predict.scores import Scores
+from derail_ros.predict.scores import Scores, crps, fair_crps
 from derail_ros.predict.statistical import KINDS, WORDS, covariates, fit
 from derail_ros.predict.trains import Train
 from derail_ros.scenario.calibrated import Calibrated, Few
@@ -194,7 +194,10 @@ def table_of(
                 {i: fitted.pmf(row, int(data.train[i, 1])) for i, row in zip(test, z)}
             )
     samples = [np.array(done[int(i)]["counts"], dtype=float) for i in at]
-    mine = Scores.of_samples(samples, data.y[at].astype(int).tolist())
+    y = data.y[at].astype(int).tolist()
+    mine = Scores.of_samples(samples, y)
+    own = np.array([fair_crps(x, k) for x, k in zip(samples, y, strict=True)])
+    apart = own - np.array([crps(ways[alone][i], k) for i, k in zip(at, y, strict=True)])
     rows = [mine.row("runs of the engine")]
     rows += [score_row(way, [p[i] for i in at], data.y[at]) for way, p in ways.items()]
     runs = sum(map(len, samples))
@@ -203,6 +206,7 @@ def table_of(
         f"<sub>`python -m research engine_scores FILES --results BANK`: {len(at)} of "
         f"{int((data.train[:, 1] >= 50).sum())} reports, spread over the speeds, {runs} runs, "
         f"{DRAWS} a report, with constants learned without its years. Engine "
-        f"{', '.join(engines)}.</sub>"
+        f"{', '.join(engines)}. CRPS of the first row less that of the last, report by report: "
+        f"{apart.mean():+.3f} ± {apart.std() / np.sqrt(len(at)):.3f} cars.</sub>"
     )
     return Table(HEADS, rows), about
