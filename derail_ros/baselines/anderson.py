@@ -42,7 +42,7 @@ from derail_ros.engine.laws.coupling_spring import coupling_energy, coupling_for
 from derail_ros.engine.laws.ground import drag
 from derail_ros.engine.laws.impulse import collision_impulse, energy_lost
 from derail_ros.engine.laws.roll import roll_angle
-from derail_ros.engine.methods import RKF45
+from derail_ros.engine.methods import ERRORS, RKF45, STAGES, TIMES, WEIGHTS
 from derail_ros.engine.sampling import WORK_ENTRIES
 from derail_ros.engine.simulation import PlanarSimulation
 from derail_ros.engine.solver import factor, plain_masses, solve
@@ -107,9 +107,8 @@ class Springs(NamedTuple):
     other: F64  # (N, N_O) the cars' own state
 
 
-# Fehlberg's 4(5): slopes of the stages, weights, error, times
 RKF = np.array(RKF45)
-RKF_B, RKF_E, RKF_C = 12, 13, 14
+"""Fehlberg's 4(5)."""
 
 DONE, NON_FINITE, STEP_FLOOR, SINGULAR, TRACK_END = 0, -1, -2, -3, -4
 _ERRORS = {
@@ -370,12 +369,12 @@ def advance(model: Model, state: State, work: Work, springs: Springs, t_target: 
                         dq = 0.0
                         dv = 0.0
                         for r in range(s):
-                            dq += RKF[s, r] * work.kq[r, i, k]
-                            dv += RKF[s, r] * work.kv[r, i, k]
+                            dq += RKF[STAGES + s, r] * work.kq[r, i, k]
+                            dv += RKF[STAGES + s, r] * work.kv[r, i, k]
                         q1[i, k] = state.q[i, k] + h * dq
                         v1[i, k] = state.v[i, k] + h * dv
                         work.kq[s, i, k] = v1[i, k]
-                at = t + RKF[RKF_C, s] * h
+                at = t + RKF[TIMES, s] * h
                 if not rates(model, state, work, springs, at, q1, v1, work.kv[s]):
                     return SINGULAR
                 for k in range(layout.N_POWER):
@@ -389,10 +388,10 @@ def advance(model: Model, state: State, work: Work, springs: Springs, t_target: 
                     eq = 0.0
                     ev = 0.0
                     for s in range(6):
-                        dq += RKF[RKF_B, s] * work.kq[s, i, k]
-                        dv += RKF[RKF_B, s] * work.kv[s, i, k]
-                        eq += RKF[RKF_E, s] * work.kq[s, i, k]
-                        ev += RKF[RKF_E, s] * work.kv[s, i, k]
+                        dq += RKF[WEIGHTS, s] * work.kq[s, i, k]
+                        dv += RKF[WEIGHTS, s] * work.kv[s, i, k]
+                        eq += RKF[ERRORS, s] * work.kq[s, i, k]
+                        ev += RKF[ERRORS, s] * work.kv[s, i, k]
                     q1[i, k] = state.q[i, k] + h * dq
                     v1[i, k] = state.v[i, k] + h * dv
                     arm = model.car[i].gyration if k == 2 else 1.0
@@ -417,7 +416,7 @@ def advance(model: Model, state: State, work: Work, springs: Springs, t_target: 
         for k in range(layout.N_POWER):
             total = 0.0
             for s in range(6):
-                total += RKF[RKF_B, s] * work.kp[s, k]
+                total += RKF[WEIGHTS, s] * work.kp[s, k]
             state.energy[k] += h * total
         before, spring = stored_energy(model, springs, q1, v1, work)
         before += spring

@@ -14,8 +14,12 @@ optimized once, one that stands by itself (``jit.keep_separate``) is put into it
 after that has been optimized, and only what Python calls becomes machine code, with all that it
 calls.
 
-None of this changes what a kernel computes. Where numba's look-up is another than this file knows,
-it is left as it is.
+And numba asks at each index whether it is negative, to count it from the end: a sixteenth of a
+run. In kernels no index is negative (``tests/engine/test_compiling.py`` runs them with bounds
+checked).
+
+None of this changes what a kernel computes. Where numba's code is another than this file knows, it
+is left as it is.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from numba.core import errors, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import require_global_compiler_lock
+from numba.np import arrayobj
 
 _unliteral: Any = types.unliteral
 _known: dict[Any, Any] = {}
@@ -58,6 +63,11 @@ class _NoColors:
         return str
 
 
+def _from_zero(context: Any, builder: Any, kind: Any, index: Any, size: Any) -> Any:
+    """An index as it is, in numba's words."""
+    return context.cast(builder, index, kind, types.intp)
+
+
 @contextmanager
 def _remember() -> Iterator[None]:
     """Remember while kernels are compiled; numba's lock keeps other threads from compiling."""
@@ -71,11 +81,15 @@ def _remember() -> Iterator[None]:
     _depth += 1
     colors = getattr(errors, "_termcolor_inst", None)
     errors._termcolor_inst = _NoColors()
+    indexing: Any = arrayobj
+    fix = getattr(indexing, "fix_integer_index", None)
+    indexing.fix_integer_index = _from_zero
     try:
         yield
     finally:
         _depth -= 1
         errors._termcolor_inst = colors
+        indexing.fix_integer_index = fix
         del kind.get_call_type
         _known.clear()
 

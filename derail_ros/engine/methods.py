@@ -1,18 +1,19 @@
 """Integration methods by name, and their tables.
 
-A table of s stages is an array of 2 s + 4 rows and s + 1 columns: s rows alpha (slopes that make
-the stages), s rows gamma (of implicit friction, without the diagonal), b (slopes that make the new
+A table of s stages is an array of 4 + 2 s rows and s + 1 columns: b (slopes that make the new
 state), e (slopes that make the error; the last column is for the slope at the new state), c (times
-of the stages), and one row with the diagonal gamma (0: explicit), the exponent of the error in
-the choice of the step, and how far the method is stable along the negative real axis.
+of the stages), one row with the diagonal gamma (0: explicit), the exponent of the error in the
+choice of the step, and how far the method is stable along the negative real axis; then s rows
+alpha (slopes that make the stages) and s rows gamma (of implicit friction, without the diagonal).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-# Rows of a table from its end, and the columns of the last one.
-WEIGHTS, ERRORS, TIMES, META = -4, -3, -2, -1
+# Rows of a table before those of the stages, and the columns of the last of them.
+WEIGHTS, ERRORS, TIMES, META = 0, 1, 2, 3
+STAGES = 4
 GAMMA, EXPONENT, BOUND = 0, 1, 2
 
 Table = tuple[tuple[float, ...], ...]
@@ -34,7 +35,7 @@ def table(
 
     implicit = list(gammas) or [()] * len(b)
     times = [sum(row) for row in alpha]
-    rows = (*alpha, *implicit, b, e, times, (gamma, 1.0 / order, stability_bound(alpha, b)))
+    rows = (b, e, times, (gamma, 1.0 / order, stability_bound(alpha, b)), *alpha, *implicit)
     return tuple(padded(row) for row in rows)
 
 

@@ -13,7 +13,7 @@ from derail_ros.engine.dynamics import IMPLICIT, PLAIN, accelerations, constrain
 from derail_ros.engine.forces.track import truck_rows
 from derail_ros.engine.implicit import friction_damping, implicit_masses, restore_masses
 from derail_ros.engine.jit import inner_jit, keep_separate
-from derail_ros.engine.methods import ERRORS, GAMMA, META, TIMES, WEIGHTS
+from derail_ros.engine.methods import ERRORS, GAMMA, META, STAGES, TIMES, WEIGHTS
 from derail_ros.engine.solver import factor, solve
 
 
@@ -39,7 +39,7 @@ def _combine(
 @inner_jit
 def stages_of(table: F64) -> int:
     """Number of stages of a method."""
-    return (table.shape[0] - 4) // 2
+    return (table.shape[0] - STAGES) // 2
 
 
 @inner_jit
@@ -59,7 +59,7 @@ def _gamma_sum(table: F64, kv: F64, stages: int, s: int, i: int, k: int) -> floa
     """``sum_j gamma_sj k_j`` of coordinate ``k`` of car ``i``."""
     total = 0.0
     for r in range(s):
-        total += table[stages + s, r] * kv[r, i, k]
+        total += table[STAGES + stages + s, r] * kv[r, i, k]
     return total
 
 
@@ -133,8 +133,8 @@ def take_stages(model: Model, state: State, work: Work, h: float) -> bool:
             for k in range(5):
                 work.kv[0, i, k] = state.a[i, k]
     for s in range(1, stages):
-        _combine(q0_flat, kq, table, s, s, h, q1_flat, count)
-        _combine(v0_flat, kv, table, s, s, h, v1_flat, count)
+        _combine(q0_flat, kq, table, STAGES + s, s, h, q1_flat, count)
+        _combine(v0_flat, kv, table, STAGES + s, s, h, v1_flat, count)
         for m in range(count):
             kq[s * size + m] = v1_flat[m]
         if stiff:

@@ -1,6 +1,9 @@
 """The kernels' compiler: fewer questions and fewer kernels than numba's own, the same results."""
 
 import operator
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -123,3 +126,44 @@ def test_separate_kernels_are_linked_once_below_what_python_calls(monkeypatch):
     assert jit.jit(lambda x: between(x) + called(3.0 * x))(1.0) == 14.0
     # its code is in its own module alone while kernels are optimized
     assert finished == [1, 0, 0, 0]
+
+
+def last(a, i):
+    return a[i] + a[0]
+
+
+def test_an_index_is_not_counted_from_the_end():
+    a = np.array([1.0, 2.0, 4.0])
+    assert njit(last)(a, -1) == 5.0
+    assert njit(**OPTIONS)(last)(a, 2) == 5.0
+    # What the next test relies on: checked bounds tell of it.
+    with pytest.raises(IndexError):
+        njit(boundscheck=True, **OPTIONS)(last)(a, -1)
+
+
+CHECKED = """
+import numba
+from derail_ros import models
+from derail_ros.scenario import list_scenarios, load_scenario_by_name
+from tests.engine import campaign
+
+assert numba.config.BOUNDSCHECK == 1
+for info in list_scenarios():
+    models.build(load_scenario_by_name(info.name).to_params()).advance_to(60.0)
+for name in ("base_train", "cars_on_a_siding", "mississauga_wall"):
+    spatial = load_scenario_by_name(name).with_overrides({"model": "spatial"})
+    models.build(spatial.to_params()).advance_to(12.0)
+for finding in campaign.campaign(0, 60):
+    assert not finding.what or finding.what.startswith("refused"), finding.what
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_no_index_of_a_kernel_is_negative_or_too_large(tmp_path):
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "DERAIL_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", CHECKED], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert any(tmp_path.rglob("*.nbi")), "kernels of its own"

@@ -32,10 +32,10 @@ class Table:
     def __init__(self, name):
         rows = np.array(METHODS[name])
         s = self.stages = rows.shape[1] - 1
-        self.alpha, self.b = rows[:s, :s], rows[2 * s, :s]
-        self.error, self.c = rows[2 * s + 1], rows[2 * s + 2, :s]
-        self.gamma = rows[2 * s + 3, 0]
-        self.g = rows[s : 2 * s, :s] + self.gamma * np.eye(s)
+        self.alpha, self.b = rows[4 : 4 + s, :s], rows[0, :s]
+        self.error, self.c = rows[1], rows[2, :s]
+        self.gamma = rows[3, 0]
+        self.g = rows[4 + s :, :s] + self.gamma * np.eye(s)
 
 
 def conditions_of_order_4(alpha, b, c):
