@@ -180,7 +180,10 @@ def test_who_comes_while_nothing_moves_gets_the_last_measurement(began) -> None:
 def test_a_train_that_nothing_derails_is_told_what_does() -> None:
     bench = Bench()
     assert bench.load(ENDLESS).message.endswith("nothing pushes it: see ~/inject_rail_break")
-    for more in ("track: {rail_breaks: [50]}", "initiation: {derailed_trucks: [{car: 1, truck: front}]}"):
+    for more in (
+        "track: {rail_breaks: [50]}",
+        "initiation: {derailed_trucks: [{car: 1, truck: front}]}",
+    ):
         text = ENDLESS.split("initiation:")[0] + more + "\n"
         assert "inject_rail_break" not in bench.load(text).message, more
 
